@@ -5,12 +5,14 @@ What a script or a notebook needs most can be taken from here; it is imported wh
 
 from typing import Any
 
+from gonio import moved
+
 __version__ = "0.2.0"
 
 _FROM = {
     "read": "gonio.measurement",
     "write": "gonio.measurement",
-    "open_rig": "gonio.by_hand.manual_rig",
+    "open_rig": "gonio.lab.by_hand.manual_rig",
     "HeTorrance": "gonio.models",
     "CookTorrance": "gonio.models",
     "OrenNayar": "gonio.models",
@@ -22,6 +24,8 @@ _FROM = {
 }
 
 __all__ = [*_FROM]
+
+moved.install()
 
 
 def __getattr__(name: str) -> Any:

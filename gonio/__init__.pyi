@@ -1,5 +1,5 @@
-from gonio.by_hand.manual_rig import open_rig as open_rig
 from gonio.instrument import apparent_brdf as apparent_brdf
+from gonio.lab.by_hand.manual_rig import open_rig as open_rig
 from gonio.measurement import read as read
 from gonio.measurement import write as write
 from gonio.models import Blinn as Blinn

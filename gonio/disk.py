@@ -444,3 +444,23 @@ def set_aside(path: Path, folder: Path) -> Path:
         free = folder / f"{path.stem}.{count}{path.suffix}"
     path.rename(free)
     return free
+
+
+def check_writable(path: Path) -> None:
+    """Raise `ConfigError` where a folder cannot be made, or files in it; touches nothing."""
+    at = path.absolute()
+    while not at.exists():
+        at = at.parent
+    if not at.is_dir():
+        raise ConfigError(f"{path}: {at} is not a folder")
+    if not os.access(at, os.W_OK | os.X_OK) or _refuses(at):
+        raise ConfigError(f"{path}: {at} is not writable; choose another folder, or change its permissions")
+
+
+def _refuses(folder: Path) -> bool:
+    """Whether a folder takes no new entries although its permissions say so (a read-only disk, /proc)."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=".gonio-", dir=folder):
+            return False
+    except OSError:
+        return True

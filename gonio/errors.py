@@ -74,7 +74,7 @@ class PassingFault(DeviceError):
     message
         What is wrong, after what the driver itself has tried.
     kind
-        Which device: a key of `gonio.acquisition.waits.WAITS_S`.
+        Which device: a key of `gonio.lab.acquisition.waits.WAITS_S`.
     """
 
     def __init__(self, message: str, kind: Literal["camera", "lamp"]) -> None:

@@ -441,3 +441,10 @@ def _holders_of(port: str) -> list[Holder]:
                 name, command = (process / "comm").read_text().strip(), (process / "cmdline").read_bytes()
                 out.append(Holder(int(process.name), name, command.decode(errors="replace")))
     return out
+
+
+def command_line() -> str:
+    """The command line of this process, as it is stored with a run."""
+    import shlex
+
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])

@@ -19,6 +19,7 @@ Group = Literal[
     "gonio.models",
     "gonio.choosers",
     "gonio.exports",
+    "gonio.records",
     "gonio.sections",
     "gonio.commands",
 ]

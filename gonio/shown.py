@@ -116,3 +116,8 @@ def html(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], words
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     said = "".join(f"<p>{escape(text)}</p>" for text in words)
     return f"<p><b>{escape(title)}</b></p><table><tr>{head}</tr>{body}</table>{said}"
+
+
+def finite(value: float | None) -> float | None:
+    """A number as JSON has it: None for what is not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)

@@ -1,7 +1,7 @@
 """A second goniometer in front of a second camera: frames by explicit rays, from docs/conventions.md's words alone.
 
-Nothing here calls `gonio.rig.kinematics`, `gonio.rig.imaging`, `gonio.instrument` or `gonio_sim`. An error that the
-simulated camera and the reduction share cancels between them; against these frames it does not.
+Nothing here calls `gonio.lab.rig.kinematics`, `gonio.lab.rig.imaging`, `gonio.instrument` or `gonio_sim`. An error that
+the simulated camera and the reduction share cancels between them; against these frames it does not.
 
 - Axes are products of rotation matrices. The lab's y is the axis of both arms, z the untilted sample's normal.
 - The lamp is a disc of point emitters that faces the sample's centre. Each lights a spot by cos(theta_i) / d^2.
@@ -20,11 +20,12 @@ from typing import Self
 
 import numpy as np
 
-from gonio.rig import Frame, Pose, Step, Target
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.light_and_camera import Band
+from gonio.lab.rig import Frame, Pose, Step, Target
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band
+from gonio.samples.description import SampleDescription
 from gonio.typing import Floats
-from tests.gonio.rig.plain_rig import rotation
+from tests.gonio.lab.rig.plain_rig import rotation
 
 Brdf = Callable[[Floats, Floats, Floats, Floats], Floats]
 """f [1/sr] of unit vectors to lamp and lens, shape (..., 3), and of a spot's x and y [mm], in the sample's frame."""
@@ -71,7 +72,7 @@ def disc(rings: int = 1, spokes: int = 6) -> Floats:
 
 @dataclass
 class Bench:
-    """A rig (`gonio.rig.Rig`) whose axes stand where they are sent, and whose frames are rays; without any noise."""
+    """A rig (`gonio.lab.rig.Rig`) whose axes stand where they are sent, and whose frames are rays without noise."""
 
     description: RigDescription
     brdf: Brdf
@@ -235,7 +236,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class Plugin:
-    """Opens a bench that is there already (`gonio.rig.RigPlugin`)."""
+    """Opens a bench that is there already (`gonio.lab.rig.RigPlugin`)."""
 
     bench: Bench
     toml: str = ""

@@ -16,6 +16,7 @@ PACKAGES = {
     "gonio_sim": ROOT / "sim" / "gonio_sim",
     "gonio_scenes": ROOT / "sim" / "gonio_scenes",
     "gonio_analysis": ROOT / "analysis" / "gonio_analysis",
+    "gonio_watch": ROOT / "analysis" / "gonio_watch",
     "gonio_sweeps": ROOT / "analysis" / "gonio_sweeps",
     "gonio_validation": ROOT / "analysis" / "gonio_validation",
     "gonio_bluesky": ROOT / "drivers" / "gonio_bluesky",

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from gonio_analysis.fitting import parameters as fits
 
-from gonio.acquisition.samples import load_sample
 from gonio.models import Sum, build
 from gonio.models.parameters import described
+from gonio.samples.files import load_sample
 from tests.places import ROOT
 from tests.test_site import tool
 

@@ -100,10 +100,11 @@ def measured(folder: Path, seed: int) -> Path:
     if table.exists():
         return table
     from gonio import measurement
-    from gonio.acquisition.measure import carry_out, find_rig, load_sample
-    from gonio.acquisition.plan import load_plan
     from gonio.config import to_toml
-    from gonio.reduction import brdf
+    from gonio.lab.acquisition.measure import carry_out, find_rig
+    from gonio.lab.acquisition.plan import load_plan
+    from gonio.lab.reduction import brdf
+    from gonio.samples.files import load_sample
 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

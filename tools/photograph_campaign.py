@@ -30,14 +30,15 @@ from gonio_scenes.photograph import reduce
 from gonio_scenes.render import render
 
 from gonio import measurement
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import Plan, Point
-from gonio.acquisition.run import Run
 from gonio.config import parse
 from gonio.errors import GonioError
-from gonio.reduction import brdf
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.dng import write_dng
+from gonio.lab.acquisition.measure import RigChoice, carry_out
+from gonio.lab.acquisition.plan import Plan, Point
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.dng import write_dng
+from gonio.samples.description import SampleDescription
 from gonio.typing import Floats, TomlTable
 
 KINDS = ("he-torrance", "oren-nayar", "cook-torrance")

@@ -29,8 +29,8 @@ from functools import partial
 from typing import IO, Any, BinaryIO, Generic, Literal, TypeVar
 
 from gonio import platform, plugins
-from gonio.cli.console import Pace, Say, silent
 from gonio.errors import DataError
+from gonio.progress import Pace, Say, silent
 
 In = TypeVar("In")
 Out = TypeVar("Out")

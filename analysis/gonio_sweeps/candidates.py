@@ -18,12 +18,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from gonio.acquisition.plan import Plan, Point, assess, canonical, count_reasons
-from gonio.acquisition.plan_tables import Sweep
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.rig import Pose
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition.plan import Plan, Point, assess, canonical, count_reasons
+from gonio.lab.acquisition.plan_tables import Sweep
+from gonio.lab.rig import Pose
+from gonio.lab.rig.description import RigDescription
 from gonio.typing import Floats, TomlTable
 
 THETA_I_DEG = (10.0, 30.0, 60.0, 75.0)

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 from pydantic import field_validator
 
-from gonio.acquisition.plan import Plan, Point
-from gonio.acquisition.run import Run
-from gonio.acquisition.sampling import Choice
 from gonio.config import Positive, Strict
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
+from gonio.lab.acquisition.plan import Plan, Point
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.sampling import Choice
+from gonio.lab.reduction.angle_errors import angle_axes, zero_uncertainties
+from gonio.lab.rig.description import RigDescription
 from gonio.models.gaussian_process import ENOUGH
-from gonio.reduction.angle_errors import angle_axes, zero_uncertainties
-from gonio.rig.description import RigDescription
 from gonio.typing import Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import Candidates, candidates, curves, half_angles, signed_deg, spread
@@ -285,7 +285,7 @@ class Curve(BudgetSampler[CurveSettings]):
     # ---- what is measured next ----
 
     def next(self, run: Run) -> Choice:
-        """See `gonio.acquisition.sampling.Sampler`."""
+        """See `gonio.lab.acquisition.sampling.Sampler`."""
         values = [online.values(run) for online in self._online]
         before = run.batches[-1].why if run.batches else None
         decided = self.decided(values, expected.spent_s(self.durations, run), before)

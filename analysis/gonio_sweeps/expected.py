@@ -25,18 +25,18 @@ from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.search import derivatives
 from gonio_analysis.fitting.value_covariance import Covariance
 
-from gonio.acquisition import exposure
-from gonio.acquisition.duration import Durations
-from gonio.acquisition.records import StepRecord
-from gonio.acquisition.run import Run
-from gonio.acquisition.schedule import reference_pose
 from gonio.errors import ConfigError
 from gonio.geometry import Directions, solid_angle_of_cone
-from gonio.reduction import white_reference
-from gonio.reduction.angle_errors import CAUSES, angle_axes, zero_uncertainties
-from gonio.reduction.white_reference import Level
-from gonio.rig import Pose, Step, kinematics, light_and_camera
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition import exposure
+from gonio.lab.acquisition.duration import Durations
+from gonio.lab.acquisition.records import StepRecord
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.schedule import reference_pose
+from gonio.lab.reduction import white_reference
+from gonio.lab.reduction.angle_errors import CAUSES, angle_axes, zero_uncertainties
+from gonio.lab.reduction.white_reference import Level
+from gonio.lab.rig import Pose, Step, kinematics, light_and_camera
+from gonio.lab.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_sweeps.candidates import half_angles, read
 

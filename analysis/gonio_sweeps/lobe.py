@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.geometry import Directions
+from gonio.lab.reduction.spikes import overlap
 from gonio.models.gaussian_process import Coordinates
-from gonio.reduction.spikes import overlap
 from gonio.typing import Floats
 
 WIDTHS_DEG = (3.0, 8.0, 20.0)

@@ -26,8 +26,8 @@ from pydantic import Field, field_validator
 from gonio.config import Positive, Strict
 from gonio.errors import DataError
 from gonio.geometry import Directions
+from gonio.lab.rig.description import RigDescription
 from gonio.models.parameters import Values
-from gonio.rig.description import RigDescription
 from gonio.shown import with_u
 from gonio.typing import DataFrame, Floats, JsonObject
 from gonio_sweeps import expected

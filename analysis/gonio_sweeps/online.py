@@ -1,8 +1,8 @@
 """The values of a run that grows, quickly: every frame is read once, and only what hangs together is computed anew.
 
 A step's count rate follows from its own frames and the dark frames. It is kept. What all values share, the level of the
-white reference over time, is fitted again each time. A reduction at the end (`gonio.reduction.brdf`) says more: what
-errors of the angles do to each value. Samplers have models of the sample, and know that from these.
+white reference over time, is fitted again each time. A reduction at the end (`gonio.lab.reduction.brdf`) says more:
+what errors of the angles do to each value. Samplers have models of the sample, and know that from these.
 """
 
 from bisect import bisect_right
@@ -12,15 +12,15 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from gonio.acquisition.records import StepRecord
-from gonio.acquisition.run import Run
 from gonio.geometry import Directions
-from gonio.reduction.count_rates import RunFrames
-from gonio.reduction.growing import so_far
-from gonio.reduction.step_rates import Reduced, Rejected
-from gonio.reduction.threads import in_threads
-from gonio.rig import Pose
-from gonio.rig.light_and_camera import Band
+from gonio.lab.acquisition.records import StepRecord
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction.count_rates import RunFrames
+from gonio.lab.reduction.growing import so_far
+from gonio.lab.reduction.step_rates import Reduced, Rejected
+from gonio.lab.rig import Pose
+from gonio.lab.rig.light_and_camera import Band
+from gonio.threads import in_threads
 from gonio.typing import Floats
 
 

@@ -14,12 +14,12 @@ from dataclasses import replace
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
 
-from gonio.acquisition.plan import Plan
-from gonio.acquisition.run import Run
-from gonio.acquisition.sampling import Choice
 from gonio.errors import ConfigError
-from gonio.reduction import brdf as reduction
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition.plan import Plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.sampling import Choice
+from gonio.lab.reduction import brdf as reduction
+from gonio.lab.rig.description import RigDescription
 from gonio.typing import DataFrame, Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import EVENLY, Curves, candidates, cover_by_errors, cover_evenly, nearby, places, spread
@@ -125,7 +125,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
     # ---- what is measured next ----
 
     def next(self, run: Run) -> Choice:
-        """See `gonio.acquisition.sampling.Sampler`."""
+        """See `gonio.lab.acquisition.sampling.Sampler`."""
         return self.choose(
             self._online.values(run),
             spent_s=expected.spent_s(self.durations, run),

@@ -19,13 +19,14 @@ from gonio_analysis.fitting.value_covariance import Covariance
 from pydantic import Field, field_validator
 
 from gonio import models
-from gonio.acquisition.measure import load_sample
-from gonio.acquisition.plan import Plan
-from gonio.acquisition.run import Run
-from gonio.acquisition.sampling import Choice
 from gonio.config import Positive, Strict
 from gonio.errors import ConfigError
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition.plan import Plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.sampling import Choice
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import SampleDescription
+from gonio.samples.files import load_sample
 from gonio.typing import Floats, JsonObject
 from gonio_sweeps import expected
 from gonio_sweeps import separation as separations
@@ -156,7 +157,7 @@ class Rivals(BudgetSampler[RivalSettings]):
         ]
 
     def next(self, run: Run) -> Choice:
-        """See `gonio.acquisition.sampling.Sampler`."""
+        """See `gonio.lab.acquisition.sampling.Sampler`."""
         return self.choose(self._online.values(run), expected.spent_s(self.durations, run))
 
     def choose(self, values: GrowingValues, spent_s: float) -> Choice:

@@ -8,13 +8,13 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 
-from gonio.acquisition.duration import Durations
-from gonio.acquisition.plan import Plan, Point
-from gonio.acquisition.schedule import reference_pose
 from gonio.config import Strict, parse
 from gonio.errors import ConfigError
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Band
+from gonio.lab.acquisition.duration import Durations
+from gonio.lab.acquisition.plan import Plan, Point
+from gonio.lab.acquisition.schedule import reference_pose
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band
 from gonio.typing import Floats
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import Candidates, places, snake
@@ -50,7 +50,7 @@ class BudgetSampler(Generic[Keys]):
 
     @classmethod
     def open(cls, plan: Plan, description: RigDescription) -> Self:
-        """The sampler of a plan on a rig; see `gonio.acquisition.sampling.SamplerPlugin`."""
+        """The sampler of a plan on a rig; see `gonio.lab.acquisition.sampling.SamplerPlugin`."""
         return cls(plan, description)
 
     def first(self, planned: Sequence[Point]) -> Sequence[Point]:

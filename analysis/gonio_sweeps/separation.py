@@ -21,17 +21,18 @@ from gonio_analysis.fitting.value_covariance import Covariance
 from scipy.optimize import brentq
 
 from gonio import models
-from gonio.acquisition.duration import Durations
 from gonio.errors import GonioError
 from gonio.geometry import Directions
-from gonio.reduction import angle_errors
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition.duration import Durations
+from gonio.lab.reduction import angle_errors
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import SampleDescription
 from gonio.typing import Figure, Floats
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import read
 
 if TYPE_CHECKING:
-    from gonio.acquisition.measure import Prepared
+    from gonio.lab.acquisition.measure import Prepared
 
 SIGMAS = 5.0
 """Standard deviations at which two things count as told apart."""
@@ -141,7 +142,7 @@ def separation(prepared: Prepared, a: SampleDescription, b: SampleDescription) -
     Parameters
     ----------
     prepared
-        What `gonio.acquisition.measure.assessed` made of the plan.
+        What `gonio.lab.acquisition.measure.assessed` made of the plan.
     a, b
         Samples with all their parameters.
     """
@@ -224,7 +225,7 @@ def about(s: Separation, most: int = 10) -> tuple[list[str], list[list[str]]]:
 
 
 def _duration(seconds: float) -> str:
-    from gonio.cli.console import duration
+    from gonio.progress import duration
 
     return duration(seconds) if math.isfinite(seconds) and seconds < 1e9 else "never"
 

@@ -1,4 +1,4 @@
-"""The commands `gonio figures` and `gonio bench ...`. Nothing heavy is imported before one runs."""
+"""The commands `gonio demo`, `figures` and `bench ...`. Nothing heavy is imported before one runs."""
 
 import contextlib
 import sys
@@ -17,6 +17,16 @@ Jobs = Annotated[int | None, typer.Option(help="Processes. [default: one a proce
 NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", all the rendered ones; or "list", which names them.'
 
 bench = typer.Typer(help="Measure the workbench itself.", no_args_is_help=True)
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("gonio-demo"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer directions: done in seconds.")] = False,
+) -> None:
+    """Measure, reduce, fit and report one simulated sample. Prints the report's path last."""
+    from gonio_validation.demonstration import run_demo
+
+    print(run_demo(out, quick=quick))
 
 
 def figures(
@@ -51,7 +61,7 @@ def figures(
 
 def _made(module: str, *arguments: Any, **options: Any) -> None:
     """Make the page that a module of this package makes, with the command line for its record, and print its path."""
-    from gonio.acquisition.run import command_line
+    from gonio.platform import command_line
 
     if None not in (options.get("jobs"), options.get("dask")):
         raise ConfigError("--jobs: counts processes here, and --dask names a cluster; leave one of them out")
@@ -64,7 +74,7 @@ def verify(out: Annotated[Path | None, typer.Option(help="Folder of a page to si
 
     from gonio_analysis.report import files
 
-    from gonio.acquisition.run import command_line
+    from gonio.platform import command_line
     from gonio_validation import verify as of_all
 
     if out is not None:
@@ -152,7 +162,7 @@ def _names(text: str) -> list[str]:
 @contextlib.contextmanager
 def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
     """Who is told how many are done: a bar on a terminal, and lines elsewhere."""
-    from gonio.cli.console import Pace
+    from gonio.progress import Pace
 
     lines: list[Pace] = []
 

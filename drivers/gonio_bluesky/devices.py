@@ -23,8 +23,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
-from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import ArgumentError, ConfigError, DeviceError
+from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.typing import JsonObject
 
 log = logging.getLogger("gonio.devices")

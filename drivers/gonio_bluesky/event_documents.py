@@ -31,11 +31,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from gonio.acquisition.journal import Event
-from gonio.acquisition.plan import ANGLES
-from gonio.acquisition.run import TABLE, Run
 from gonio.disk import is_own, read_file, read_manifest
-from gonio.rig.dng import read_raw
+from gonio.lab.acquisition.journal import Event
+from gonio.lab.acquisition.plan import ANGLES
+from gonio.lab.acquisition.run import TABLE, Run
+from gonio.lab.rig.dng import read_raw
 from gonio.typing import JsonObject, NDArray
 
 Document = tuple[str, JsonObject]

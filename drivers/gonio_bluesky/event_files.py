@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from gonio.acquisition.run import Run
 from gonio.disk import is_stream, require_name
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import write_bytes
+from gonio.lab.acquisition.run import Run
 from gonio.typing import JsonObject
 from gonio_bluesky.event_documents import Document, documents
 

@@ -19,19 +19,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
 
-from gonio.acquisition import measure
-from gonio.acquisition.plan import Plan, Point, canonical, load_plan
-from gonio.acquisition.run import Run, command_line
-from gonio.acquisition.run_folder import begun
 from gonio.errors import ArgumentError, ConfigError, Interrupted
-from gonio.rig import Frame, Pose, Rig, Step
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition import measure
+from gonio.lab.acquisition.plan import Plan, Point, canonical, load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.run_folder import begun
+from gonio.lab.rig import Frame, Pose, Rig, Step
+from gonio.lab.rig.description import RigDescription
+from gonio.platform import command_line
+from gonio.samples.description import SampleDescription
 from gonio.typing import JsonObject
 from gonio_bluesky.devices import Plotted, Reading, Setting, Status, number
 
 DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 DIGITS = 7
-"""Decimals in which angles [deg] agree that count as one, as in a plan (`gonio.acquisition.plan.SAME_DEG`)."""
+"""Decimals in which angles [deg] agree that count as one, as in a plan (`gonio.lab.acquisition.plan.SAME_DEG`)."""
 
 
 class Direction(Setting[float]):

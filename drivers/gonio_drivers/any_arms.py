@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields
 from typing import Generic, NoReturn, TypeVar
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Health, Pose, motion_planning
-from gonio.rig.description import Axis, RigDescription
+from gonio.lab.rig import Health, Pose, motion_planning
+from gonio.lab.rig.description import Axis, RigDescription
 from gonio_drivers import log
 
 AXES = tuple(field.name for field in fields(Pose))

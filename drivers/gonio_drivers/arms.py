@@ -17,8 +17,8 @@ from typing import Self
 from dynamixel_sdk import INST_PING
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
-from gonio.rig import Health, Pose, Reading, Target, clock
-from gonio.rig.description import RigDescription
+from gonio.lab.rig import Health, Pose, Reading, Target, clock
+from gonio.lab.rig.description import RigDescription
 from gonio_drivers import control_table, dynamixel, home_mark, joints, log, preparation, settings, signals, watchdog
 from gonio_drivers.any_arms import AXES, Arms, ArmsReading
 from gonio_drivers.motion import LARGEST_CORRECTION_DEG, STILL_COUNTS, Motion

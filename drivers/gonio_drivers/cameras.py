@@ -2,7 +2,7 @@
 
 An entry point names a callable `(description, settings) -> camera`: the rig's description, and what stands in the table
 `[devices.camera]` beside `driver`. It returns a context manager that opens the camera, with the method `capture` of
-`gonio.rig.CameraDevice`; it touches no device before it is entered. docs/writing_a_driver.md shows one.
+`gonio.lab.rig.CameraDevice`; it touches no device before it is entered. docs/writing_a_driver.md shows one.
 """
 
 from contextlib import AbstractContextManager
@@ -11,8 +11,8 @@ from typing import Protocol, Self
 from gonio import plugins
 from gonio.config import parse
 from gonio.errors import ConfigError
-from gonio.rig import CameraDevice, Frame
-from gonio.rig.description import RigDescription
+from gonio.lab.rig import CameraDevice, Frame
+from gonio.lab.rig.description import RigDescription
 from gonio.typing import TomlTable
 from gonio_drivers import settings
 

@@ -25,7 +25,7 @@ from typing import Self, TypeVar
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, INST_PING, INST_READ, INST_WRITE
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import clock
+from gonio.lab.rig import clock
 from gonio_drivers import log, ports
 from gonio_drivers.sdk import WAIT_S, ExclusivePort, Packets
 

@@ -25,10 +25,10 @@ import serial
 
 from gonio import platform
 from gonio.errors import ConfigError, DataError, DeviceError, PassingFault, os_error_as
-from gonio.rig import Frame, clock
-from gonio.rig.description import RigDescription
-from gonio.rig.dng import read_raw
-from gonio.rig.regions import require_raw
+from gonio.lab.rig import Frame, clock
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.dng import read_raw
+from gonio.lab.rig.regions import require_raw
 from gonio_drivers import log, ports, settings
 from gonio_drivers.patience import Patience
 

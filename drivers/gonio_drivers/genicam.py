@@ -14,8 +14,8 @@ import numpy as np
 
 from gonio.config import NonNegative, Positive, Strict, parse
 from gonio.errors import ConfigError, DeviceError, PassingFault
-from gonio.rig import Frame, clock
-from gonio.rig.description import RigDescription
+from gonio.lab.rig import Frame, clock
+from gonio.lab.rig.description import RigDescription
 from gonio.typing import NDArray, TomlTable
 
 OFF = {

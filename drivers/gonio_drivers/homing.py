@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import serial
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Homed, clock
+from gonio.lab.rig import Homed, clock
 from gonio_drivers import home_mark, joints, preparation, settings, watchdog
 from gonio_drivers.patience import Patience
 

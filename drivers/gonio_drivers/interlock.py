@@ -23,7 +23,7 @@ import serial
 
 from gonio.disk import write_whole
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
-from gonio.rig import Health, Reading
+from gonio.lab.rig import Health, Reading
 from gonio_drivers import ports, settings
 from gonio_drivers.joints import Joint
 

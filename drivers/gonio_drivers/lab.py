@@ -24,11 +24,12 @@ from gonio.errors import (
     PassingFault,
     os_error_as,
 )
-from gonio.rig import Device, Frame, Health, Step, Target, ask_for, clock
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.light_and_camera import Camera
-from gonio.rig.regions import require_frame
-from gonio.rig.whereabouts import axes_stand
+from gonio.lab.rig import Device, Frame, Health, Step, Target, ask_for, clock
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Camera
+from gonio.lab.rig.regions import require_frame
+from gonio.lab.rig.whereabouts import axes_stand
+from gonio.samples.description import SampleDescription
 from gonio_drivers import cameras, interlock, log, service, signals, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight

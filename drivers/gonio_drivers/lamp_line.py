@@ -17,7 +17,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from gonio import config
 from gonio.config import NonNegative, Positive
 from gonio.errors import ConfigError, DeviceError, PassingFault
-from gonio.rig import clock
+from gonio.lab.rig import clock
 from gonio_drivers import log, ports
 
 DIALECTS = ("scpi", "mightex", "arduino")

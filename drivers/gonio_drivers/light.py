@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from typing import Self
 
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted, PassingFault
-from gonio.rig import clock
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Band
+from gonio.lab.rig import clock
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band
 from gonio_drivers import guard, log, ports, settings
 from gonio_drivers.lamp_line import TRIES, LampLine, dialect
 from gonio_drivers.patience import Patience

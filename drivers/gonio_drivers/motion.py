@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gonio.errors import DeviceError
-from gonio.rig import clock
+from gonio.lab.rig import clock
 from gonio_drivers import joints, log, settings, watchdog
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.patience import Patience

@@ -5,7 +5,7 @@ that it has seen. Here a gap between two looks counts as `LATE_S` at most, so th
 many looks at least, and ends after a bounded number of them.
 """
 
-from gonio.rig import clock
+from gonio.lab.rig import clock
 
 LATE_S = 0.05
 """The polls of all devices come at least twice as often."""

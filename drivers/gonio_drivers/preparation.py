@@ -5,7 +5,7 @@ rig file has one, a current limit; its goal is set to where it stands before its
 """
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig.description import Axis, RigDescription
+from gonio.lab.rig.description import Axis, RigDescription
 from gonio_drivers import control_table, home_mark, log, settings, watchdog
 from gonio_drivers.any_arms import axis_of
 from gonio_drivers.dynamixel import Bus

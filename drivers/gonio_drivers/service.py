@@ -16,8 +16,8 @@ from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_WRITE
 
 from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, GonioError
-from gonio.rig import FoundServo, Homed
-from gonio.rig.description import RigDescription
+from gonio.lab.rig import FoundServo, Homed
+from gonio.lab.rig.description import RigDescription
 from gonio_drivers import control_table, dynamixel, homing, interlock, joints, ports, preparation, settings
 from gonio_drivers.lamp_line import DIALECTS, Dialect, dialect
 from gonio_drivers.patience import Patience
@@ -46,7 +46,7 @@ RELEASE_BAUD = 115_200
 
 
 class ServoService:
-    """The protocol `gonio.rig.RigService`, for Dynamixel servos."""
+    """The protocol `gonio.lab.rig.RigService`, for Dynamixel servos."""
 
     __slots__ = ()
 

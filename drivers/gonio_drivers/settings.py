@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from gonio.config import NonNegative, Positive, Strict
 from gonio.errors import ConfigError
-from gonio.rig.description import RigDescription
+from gonio.lab.rig.description import RigDescription
 from gonio.typing import TomlTable
 
 AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]

@@ -19,8 +19,8 @@ from typing import Any, Protocol, Self
 
 from gonio import plugins
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
-from gonio.rig import Health, Pose, Reading, Target, clock
-from gonio.rig.description import RigDescription
+from gonio.lab.rig import Health, Pose, Reading, Target, clock
+from gonio.lab.rig.description import RigDescription
 from gonio_drivers import log, settings
 from gonio_drivers.any_arms import AnyJoint, Arms, ArmsReading, axis_of
 from gonio_drivers.patience import Patience

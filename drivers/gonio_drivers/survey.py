@@ -1,4 +1,4 @@
-"""What lamp and camera say of themselves, as `gonio.rig.Health`: open ones, and ones that nobody has opened.
+"""What lamp and camera say of themselves, as `gonio.lab.rig.Health`: open ones, and ones that nobody has opened.
 
 Arms tell it by themselves. And what `gonio rig check` says of all, beyond the checks that every rig goes through.
 
@@ -11,7 +11,7 @@ import statistics
 from dataclasses import replace
 
 from gonio.errors import GonioError
-from gonio.rig import Health, Reading, clock
+from gonio.lab.rig import Health, Reading, clock
 from gonio_drivers import joints
 from gonio_drivers.any_arms import AXES
 from gonio_drivers.arms import ServoArms

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from gonio.errors import ConfigError, DeviceError, PassingFault
-from gonio.rig import Frame, clock
-from gonio.rig.description import RigDescription
+from gonio.lab.rig import Frame, clock
+from gonio.lab.rig.description import RigDescription
 from gonio.typing import Array, NDArray
 from gonio_drivers import settings
 from gonio_drivers.patience import LATE_S, Patience

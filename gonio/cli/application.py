@@ -237,7 +237,7 @@ def build() -> typer.Typer:
     import typer
 
     from gonio import plugins
-    from gonio.cli import by_hand, calibrate, measuring, opened, plans, rigs, runs, tables
+    from gonio.cli import options, tables
 
     app = typer.Typer(
         cls=_in_order(plugins.available("gonio.commands")),
@@ -251,14 +251,7 @@ def build() -> typer.Typer:
             "token_normalize_func": lambda name: FORMER.get(name, name),
         },
     )
-    app.callback()(opened.options)
-    assert by_hand.app is rigs.app  # both put their commands into one
-    app.add_typer(rigs.app, name="rig")
-    app.add_typer(calibrate.app, name="calibrate")
-    app.add_typer(plans.app, name="plan")
-    app.command()(measuring.measure)
-    app.command()(measuring.reduce)
-    app.add_typer(runs.app, name="run")
+    app.callback()(options.options)
     app.command()(tables.convert)
     return app
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gonio.cli import console
-from gonio.cli.opened import Blank, Columns, reading, remember
+from gonio.cli.options import Blank, Columns, reading, remember
 from gonio.disk import is_stream
 from gonio.errors import ConfigError, DataError, GonioError
 
@@ -86,8 +86,7 @@ def convert(
 
 def _require_place(target: Path, original: Path) -> None:
     """Raise `ConfigError` where nothing can be written to the target, or it is what is read."""
-    from gonio.acquisition.run_folder import check_writable
-    from gonio.disk import is_stream
+    from gonio.disk import check_writable, is_stream
 
     if target.is_dir():
         raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
@@ -100,7 +99,7 @@ def _require_place(target: Path, original: Path) -> None:
 def _model(source: str, target: Path, to: str | None) -> tuple[list[str], str]:
     """Write a model; remarks, and what was written."""
     from gonio import measurement
-    from gonio.acquisition.samples import load_model
+    from gonio.samples.files import load_model
 
     if to == "datacite":
         raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")

@@ -9,10 +9,10 @@ from pydantic import Field, model_validator
 
 from gonio.config import NonNegative, Positive, Strict
 from gonio.errors import ConfigError
-from gonio.rig.description import RigDescription
-from gonio.rig.kinematics import view
-from gonio.rig.light_and_camera import Camera as SensorModel
-from gonio.rig.protocols import Frame, Pose
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.kinematics import view
+from gonio.lab.rig.light_and_camera import Camera as SensorModel
+from gonio.lab.rig.protocols import Frame, Pose
 from gonio.typing import Floats, NDArray
 from gonio_scenes.shapes.shape import LARGEST_MM, Length, Point
 from gonio_scenes.world import toward_plane

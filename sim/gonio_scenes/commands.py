@@ -23,7 +23,7 @@ def render(
     to: Annotated[str | None, typer.Option(help='Write the scene for another renderer instead: "mitsuba".')] = None,
 ) -> None:
     """Render a scene file through the models. Prints the picture's path."""
-    from gonio.acquisition.run import command_line
+    from gonio.platform import command_line
     from gonio_scenes import picture
     from gonio_scenes.render import render as rendered
     from gonio_scenes.scene import read, too_bright
@@ -44,8 +44,8 @@ def render(
 
 
 def _write(scene: Scene, out: Path, to: str, exr: bool) -> None:
-    from gonio.acquisition.run import command_line
     from gonio.errors import ConfigError
+    from gonio.platform import command_line
     from gonio_scenes import mitsuba
 
     if to != "mitsuba":

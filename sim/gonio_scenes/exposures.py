@@ -74,7 +74,7 @@ def read(scene: Scene, path: str | Path) -> Exposure:
 
 
 def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Exposure:
-    from gonio.rig.dng import read_raw
+    from gonio.lab.rig.dng import read_raw
 
     sensor = table.sensor
     if sensor is None:

@@ -20,9 +20,9 @@ from pydantic import (
 
 from gonio.config import Strict
 from gonio.errors import ConfigError
-from gonio.rig.description import RigDescription
-from gonio.rig.kinematics import view
-from gonio.rig.protocols import Pose
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.kinematics import view
+from gonio.lab.rig.protocols import Pose
 from gonio.typing import Floats
 from gonio_scenes.camera import on_disc, point
 from gonio_scenes.shapes.shape import Coordinate, Length, refuse_parallel, unit

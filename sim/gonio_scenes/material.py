@@ -13,7 +13,7 @@ from gonio.config import Strict, parse
 from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.models.parameters import Parameters, index_at
-from gonio.rig.textures import PATTERNS, picture
+from gonio.samples.textures import PATTERNS, picture
 from gonio.typing import Floats
 from gonio_scenes import polarised
 from gonio_scenes.lights import NonNegativeSpectrum, Spectral, Spectrum, is_table, table_or, values

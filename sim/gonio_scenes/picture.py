@@ -14,8 +14,8 @@ import numpy as np
 from gonio import __version__
 from gonio.disk import require_own, work_folder, write_own
 from gonio.errors import ConfigError, os_error_as
-from gonio.rig.dng import encode_dng
-from gonio.rig.protocols import Frame
+from gonio.lab.rig.dng import encode_dng
+from gonio.lab.rig.protocols import Frame
 from gonio.typing import Floats, JsonObject, NDArray
 from gonio_scenes.camera import SATURATED, expose
 from gonio_scenes.lights import Disc, relative_power

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from gonio.acquisition.measure import find_rig
 from gonio.config import NonNegative, Positive, Strict, load
 from gonio.errors import ConfigError, DataError, did_you_mean
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig.description import RigDescription
 from gonio.models import examine
-from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_scenes import camera as cameras
 from gonio_scenes import lights, polarised

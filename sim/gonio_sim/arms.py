@@ -23,10 +23,10 @@ from dataclasses import fields, replace
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.rig import Pose
-from gonio.rig.description import Axis
-from gonio.rig.kinematics import encoder_error
-from gonio.rig.motion_planning import route, touching
+from gonio.lab.rig import Pose
+from gonio.lab.rig.description import Axis
+from gonio.lab.rig.kinematics import encoder_error
+from gonio.lab.rig.motion_planning import route, touching
 from gonio_sim.world import SETTLE_S, Stream, World
 
 AXES = tuple(field.name for field in fields(Pose))

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Frame
-from gonio.rig.light_and_camera import Band, Camera
+from gonio.lab.rig import Frame
+from gonio.lab.rig.light_and_camera import Band, Camera
 from gonio.typing import Floats, NDArray
 from gonio_sim.render import Floats32, Renderer
 from gonio_sim.world import Stream, World

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from gonio.geometry import Directions
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.kinematics import View
+from gonio.lab.rig.light_and_camera import Polarisation
 from gonio.models import Model
-from gonio.rig.description import RigDescription
-from gonio.rig.kinematics import View
-from gonio.rig.light_and_camera import Polarisation
 from gonio.typing import Floats
 
 

@@ -19,11 +19,12 @@ import numpy as np
 
 from gonio import geometry, instrument, models
 from gonio.errors import ConfigError
-from gonio.rig import Pose, fiducials
-from gonio.rig.description import Fiducials, Holder, SampleDescription
-from gonio.rig.imaging import PixelMap, of_channel, pixel_map
-from gonio.rig.kinematics import View, directions, view
-from gonio.rig.light_and_camera import Band
+from gonio.lab.rig import Pose, fiducials
+from gonio.lab.rig.description import Fiducials, Holder
+from gonio.lab.rig.imaging import PixelMap, of_channel, pixel_map
+from gonio.lab.rig.kinematics import View, directions, view
+from gonio.lab.rig.light_and_camera import Band
+from gonio.samples.description import SampleDescription
 from gonio.typing import Bools, DataFrame, Floats, NDArray
 from gonio_sim import polarised
 from gonio_sim.adaptive_grid import Function, electrons_per_s, sample_function
@@ -230,7 +231,7 @@ class Renderer:
         reference = self._world.truth.reference
         if reference.table is None:
             return self._world.reference_scale * ((reference.at(band.centre_nm)[0] or 0.0) / math.pi)
-        from gonio.reduction.reference_table import brdf_of_reference
+        from gonio.lab.reduction.reference_table import brdf_of_reference
 
         at_centre = directions(self._world.optics, self._world.pose)
         return self._world.reference_scale * brdf_of_reference(self._table, at_centre, band.centre_nm)
@@ -238,7 +239,7 @@ class Renderer:
     @cached_property
     def _table(self) -> DataFrame:
         """The certificate, where it is a table."""
-        from gonio.reduction.reference_table import read
+        from gonio.lab.reduction.reference_table import read
 
         assert self._world.truth.reference.table is not None
         return read(self._world.truth.reference.table)

@@ -10,9 +10,10 @@ from importlib.resources import files
 from typing import Self
 
 from gonio.errors import ConfigError
-from gonio.rig import Device, Health, Reading, Step, Target, ask_for
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.light_and_camera import Band
+from gonio.lab.rig import Device, Health, Reading, Step, Target, ask_for
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band
+from gonio.samples.description import SampleDescription
 from gonio_sim.arms import SimulatedArms
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer

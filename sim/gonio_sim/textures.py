@@ -18,8 +18,8 @@ from scipy import sparse
 
 from gonio import models
 from gonio.errors import ConfigError
-from gonio.rig.description import SampleDescription
-from gonio.rig.imaging import PixelMap
+from gonio.lab.rig.imaging import PixelMap
+from gonio.samples.description import SampleDescription
 from gonio.typing import Bools, Floats, NDArray
 from gonio_sim.adaptive_grid import DARK, FLOOR, TOLERANCE
 

@@ -16,10 +16,11 @@ import numpy as np
 
 from gonio.config import read_toml
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose, Target
-from gonio.rig.calibration_files import uncalibrated, with_keys
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.light_and_camera import Band
+from gonio.lab.rig import Pose, Target
+from gonio.lab.rig.calibration_files import uncalibrated, with_keys
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band
+from gonio.samples.description import SampleDescription
 
 InHolder = Target | Literal["mirror", "empty", "trap", "edge"]
 """What may lie in the beam: beside what a measurement needs, what an alignment does, and a calibration of the camera: a

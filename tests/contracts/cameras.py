@@ -11,9 +11,9 @@ import pytest
 from gonio_drivers.cameras import build
 from gonio_sim.wire.uvc import VideoStandIn
 
-from gonio.rig import CameraDevice, LightDevice
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Band, Bands, Camera
+from gonio.lab.rig import CameraDevice, LightDevice
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band, Bands, Camera
 
 NAMES = ("sequence", "uvc", "genicam")
 DESCRIPTION = RigDescription(

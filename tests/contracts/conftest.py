@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gonio.rig import Pose, Rig, Step
+from gonio.lab.rig import Pose, Rig, Step
 from tests.contracts import cameras, rigs
 from tests.contracts.cameras import Eye
 from tests.contracts.rigs import Case

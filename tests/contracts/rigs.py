@@ -15,10 +15,12 @@ from gonio_drivers.lab import LAB
 from gonio_sim.rig import SIM, SIM_IDEAL, SimulatedRig
 from gonio_sim.wire.twins import Twins
 
-from gonio.acquisition.measure import find_rig, load_sample
 from gonio.config import parse
-from gonio.rig import Rig, RigPlugin
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig import Rig, RigPlugin
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import SampleDescription
+from gonio.samples.files import load_sample
 from tests.gonio_drivers.conftest import be_patient, small
 from tests.gonio_drivers.staged import on_stages
 from tests.gonio_drivers.virtual import virtual_time

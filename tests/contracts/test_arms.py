@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from gonio.errors import ConfigError
-from gonio.rig import Rig
+from gonio.lab.rig import Rig
 from tests.contracts.conftest import LANDED_DEG, STANDS_DEG, home, off_deg
 from tests.contracts.rigs import Case
 

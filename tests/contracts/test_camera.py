@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gonio.errors import ConfigError
-from gonio.rig import Frame
+from gonio.lab.rig import Frame
 from tests.contracts.cameras import Eye
 
 AS_ASKED = 0.05

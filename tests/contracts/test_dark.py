@@ -3,7 +3,7 @@
 import pytest
 
 from gonio.errors import DeviceError
-from gonio.rig import Rig
+from gonio.lab.rig import Rig
 from tests.contracts.conftest import begin
 from tests.contracts.rigs import Case
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gonio.rig import Rig
+from gonio.lab.rig import Rig
 from tests.contracts.rigs import Case
 
 

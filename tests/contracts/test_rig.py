@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gonio.rig import Frame
+from gonio.lab.rig import Frame
 from tests.contracts.conftest import begin, exposure_s, start
 from tests.contracts.rigs import Case
 

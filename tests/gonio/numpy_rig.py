@@ -11,14 +11,15 @@ from typing import Any, Self
 
 import numpy as np
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import Plan, load_plan
-from gonio.acquisition.progress import Live, Silent
-from gonio.acquisition.run import Run
 from gonio.errors import DeviceError
-from gonio.rig import Frame, Pose, Step, Target
-from gonio.rig.description import Acquisition, Arms, Holder, Reference, RigDescription, SampleDescription
-from gonio.rig.light_and_camera import Band, Bands, Camera
+from gonio.lab.acquisition.measure import RigChoice, carry_out
+from gonio.lab.acquisition.plan import Plan, load_plan
+from gonio.lab.acquisition.progress import Live, Silent
+from gonio.lab.acquisition.run import Run
+from gonio.lab.rig import Frame, Pose, Step, Target
+from gonio.lab.rig.description import Acquisition, Arms, Holder, Reference, RigDescription
+from gonio.lab.rig.light_and_camera import Band, Bands, Camera
+from gonio.samples.description import SampleDescription
 
 BANDS = (Band(name="green, 550", centre_nm=550, fwhm_nm=20), Band(name="red 650", centre_nm=650, fwhm_nm=20))
 

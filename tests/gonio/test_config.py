@@ -8,8 +8,8 @@ from pydantic import Field
 
 from gonio.config import Strict, load, parse, read_toml
 from gonio.errors import ConfigError
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Bands
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Bands
 
 RIG: dict[str, Any] = {
     "rig": "sim",

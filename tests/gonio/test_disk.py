@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from gonio_analysis.commands.demonstration import PLAN as DEMO_PLAN
-from gonio_analysis.commands.demonstration import SAMPLE as DEMO_SAMPLE
-from gonio_analysis.commands.demonstration import _clear
 from gonio_analysis.report import make
 from gonio_analysis.report.files import staged
 from gonio_validation import papers
 from gonio_validation.bench import speed_and_error
+from gonio_validation.demonstration import PLAN as DEMO_PLAN
+from gonio_validation.demonstration import SAMPLE as DEMO_SAMPLE
+from gonio_validation.demonstration import _clear
 
 from gonio import disk, measurement
-from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, GonioError
+from gonio.lab.acquisition.run import Run
 from tests.command_line import says
 from tests.gonio.numpy_rig import measured, plan_in
 

@@ -14,9 +14,9 @@ from gonio_analysis.processes import Died, Processes, processes
 from gonio_analysis.selection import parallel
 
 from gonio import measurement, plugins
-from gonio.cli.console import Say
 from gonio.errors import DataError
 from gonio.models import build
+from gonio.progress import Say
 from tests.gonio_analysis.synthetic import measure
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from gonio_bluesky import Devices, devices
 
-from gonio.by_hand.manual_rig import ManualRig, open_rig
 from gonio.errors import ArgumentError, ConfigError, DeviceError
-from gonio.rig import Pose
-from gonio.rig.dng import read_raw
+from gonio.lab.by_hand.manual_rig import ManualRig, open_rig
+from gonio.lab.rig import Pose
+from gonio.lab.rig.dng import read_raw
 from tests.gonio.numpy_rig import SAMPLE, NumpyRig, describe
 
 pytest.importorskip("bluesky", reason="bluesky is not installed (extra bluesky)")

@@ -16,16 +16,16 @@ from gonio_bluesky.event_documents import Document, documents
 from gonio_bluesky.event_files import read, write
 
 from gonio import plugins
-from gonio.acquisition.journal import Journal, encode, now
-from gonio.acquisition.plan import ANGLES, Assessed
-from gonio.acquisition.run import Run
-from gonio.acquisition.run_settings import Request
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted
-from gonio.reduction import brdf
-from gonio.rig.dng import read_raw
+from gonio.lab.acquisition.journal import Journal, encode, now
+from gonio.lab.acquisition.plan import ANGLES, Assessed
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.run_settings import Request
+from gonio.lab.reduction import brdf
+from gonio.lab.rig.dng import read_raw
 from tests.command_line import gonio
-from tests.gonio.acquisition.test_sampling import PLAN as GROWING
-from tests.gonio.acquisition.test_sampling import Chooses
+from tests.gonio.lab.acquisition.test_sampling import PLAN as GROWING
+from tests.gonio.lab.acquisition.test_sampling import Chooses
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, plan_in
 from tests.gonio.numpy_rig import measured as measure
 

@@ -10,7 +10,7 @@ from gonio_bluesky.event_files import read
 
 from gonio import measurement
 from gonio.config import parse
-from gonio.rig.laboratory import Laboratory
+from gonio.lab.rig.laboratory import Laboratory
 from tests.command_line import gonio
 from tests.places import ROOT
 

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 from gonio_bluesky import measurement, points_plan
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DeviceError
-from gonio.reduction import brdf
-from gonio.rig.description import Acquisition
+from gonio.lab.acquisition.measure import RigChoice, carry_out
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
+from gonio.lab.rig.description import Acquisition
 from tests.command_line import gonio
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe, measured
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from gonio_bluesky.event_files import read, write
 
-from gonio.acquisition.run import Run
-from gonio.reduction import brdf
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
 from tests.gonio.numpy_rig import Plugin, measured, plan_in
 
 pytest.importorskip("tiled", reason="tiled is not installed: pip install 'tiled[all]' bluesky-tiled-plugins")

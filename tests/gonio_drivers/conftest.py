@@ -24,9 +24,10 @@ from gonio_sim.wire.peer import Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins, rig_file
 
-from gonio.by_hand.manual_rig import ManualRig
 from gonio.config import parse
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.by_hand.manual_rig import ManualRig
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import SampleDescription
 from tests.command_line import gonio
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus, virtual_time
 

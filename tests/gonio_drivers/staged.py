@@ -7,7 +7,7 @@ from gonio_drivers.lab import LAB
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG
 
 from gonio.config import parse
-from gonio.rig.description import RigDescription
+from gonio.lab.rig.description import RigDescription
 
 AXES = ("light", "camera", "tilt", "spin")
 PORT = "/dev/ttyUSB0"

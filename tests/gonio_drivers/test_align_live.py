@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from gonio_sim.wire.twins import Twins
 
-from gonio.by_hand.assistant import CAMERA_S, Assistant
-from gonio.by_hand.manual_rig import ManualRig
 from gonio.errors import DeviceError
-from gonio.rig import Frame
+from gonio.lab.by_hand.assistant import CAMERA_S, Assistant
+from gonio.lab.by_hand.manual_rig import ManualRig
+from gonio.lab.rig import Frame
 from tests.command_line import some
-from tests.gonio.by_hand.test_lamp_timer import Clock
+from tests.gonio.lab.by_hand.test_lamp_timer import Clock
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, angle, bench, opened, written
 from tests.gonio_drivers.test_by_hand import LANDED_DEG, goes_dark
 from tests.gonio_drivers.test_light import Plugged, lamp

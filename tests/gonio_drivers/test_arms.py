@@ -24,9 +24,9 @@ from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.tables import Refused
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose
-from gonio.rig.description import Acquisition, ArmAxis, Arms, Holder, Reference, RigDescription
-from gonio.rig.light_and_camera import Band, Bands
+from gonio.lab.rig import Pose
+from gonio.lab.rig.description import Acquisition, ArmAxis, Arms, Holder, Reference, RigDescription
+from gonio.lab.rig.light_and_camera import Band, Bands
 from tests.gonio_drivers.conftest import BAUD, Line, be_patient, deaf_to
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 from tests.places import ROOT

@@ -19,11 +19,11 @@ from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.twins import Twins
 
 import gonio
-from gonio.by_hand import scan
-from gonio.by_hand.manual_rig import ManualRig
-from gonio.by_hand.rig_file import write_values
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import FoundServo, Pose
+from gonio.lab.by_hand import scan
+from gonio.lab.by_hand.manual_rig import ManualRig
+from gonio.lab.by_hand.rig_file import write_values
+from gonio.lab.rig import FoundServo, Pose
 from tests.gonio_drivers.conftest import (
     COMMAND,
     LONGEST_S,
@@ -262,7 +262,7 @@ def test_the_lamp_is_dark_however_its_command_ends_or_stands_still(
     twins: Twins, tmp_path: Path, number: signal.Signals
 ) -> None:
     stands_still, killed = number == signal.SIGSTOP, number == signal.SIGKILL
-    program = "from gonio.cli import by_hand; by_hand.OVERDUE_S = 2.0; " + COMMAND[-1]
+    program = "from gonio.lab.commands import by_hand; by_hand.OVERDUE_S = 2.0; " + COMMAND[-1]
     command = [*COMMAND[:2], program] if stands_still else COMMAND
     command = [*command, "rig", "lamp", "on", "--for", "0.5" if stands_still else "1000"]
     rig = str(written(twins, tmp_path))
@@ -289,7 +289,7 @@ def test_the_lamp_is_dark_however_its_command_ends_or_stands_still(
 def test_a_frame_needs_the_camera_alone(twins: Twins, tmp_path: Path, name: str) -> None:
     import cv2
 
-    from gonio.rig.dng import read_raw
+    from gonio.lab.rig.dng import read_raw
 
     rig = without(twins, tmp_path, "arms", "light")
     twins.lamp.shine.lit = True

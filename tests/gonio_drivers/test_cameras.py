@@ -23,11 +23,11 @@ from gonio_sim.wire.tether import TetheredCamera
 from gonio_sim.wire.uvc import VideoStandIn
 
 from gonio.errors import ConfigError, DataError, DeviceError
-from gonio.rig import Frame
-from gonio.rig.description import RigDescription
-from gonio.rig.dng import read_raw, write_dng
-from gonio.rig.light_and_camera import Band, Bands, Camera
-from gonio.rig.regions import require_frame
+from gonio.lab.rig import Frame
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.dng import read_raw, write_dng
+from gonio.lab.rig.light_and_camera import Band, Bands, Camera
+from gonio.lab.rig.regions import require_frame
 from tests.command_line import some
 
 SIZE = (48, 64)
@@ -318,7 +318,7 @@ def test_a_file_is_not_damaged_while_its_writer_is_held_up(tmp_path: Path, monke
 def test_a_tethering_program_is_run(tmp_path: Path) -> None:
     good = tmp_path / "shoot.py"
     good.write_text(
-        "import sys, numpy as np\nfrom gonio.rig.dng import write_dng\nfrom gonio.rig import Frame\n"
+        "import sys, numpy as np\nfrom gonio.lab.rig.dng import write_dng\nfrom gonio.lab.rig import Frame\n"
         f"mosaic = np.full({SIZE}, 9, np.uint16)\n"
         "write_dng(Frame(mosaic, float(sys.argv[1]), 64.0, 4095.0, 'RGGB', time_s=0.0), sys.argv[2] + '/a.dng')\n"
     )

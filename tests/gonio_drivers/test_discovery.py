@@ -11,7 +11,7 @@ from gonio_sim.wire.peer import Device, Send, SerialPeer
 from gonio_sim.wire.twins import Twins
 
 from gonio.errors import DeviceError
-from gonio.rig import FoundServo
+from gonio.lab.rig import FoundServo
 from tests.gonio_drivers.conftest import small
 from tests.gonio_drivers.virtual import VirtualClock
 

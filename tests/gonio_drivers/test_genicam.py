@@ -14,9 +14,9 @@ from gonio_drivers.genicam import unpack
 from gonio_sim.wire.genicam import FORMATS, GenICamTwin, described, packed
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Frame
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Band, Bands, Camera
+from gonio.lab.rig import Frame
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band, Bands, Camera
 
 genapi = pytest.importorskip("genicam.genapi", reason="genicam is not installed (the extra genicam)")
 core = pytest.importorskip("harvesters.core", reason="harvesters is not installed (the extra genicam)")

@@ -20,8 +20,8 @@ from gonio_drivers import guard
 from gonio_drivers import light as lights
 from gonio_sim.wire.twins import Twins
 
-from gonio.acquisition.run import Run
 from gonio.errors import DeviceError, PassingFault
+from gonio.lab.acquisition.run import Run
 from tests.command_line import some
 from tests.gonio.numpy_rig import plan_in
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, by_hand, written
@@ -35,7 +35,7 @@ __all__ = ["lamp"]
 STILL_S, ANSWER_S, DARKENS_S, FRAME_S = 15.0, 2.0, 5.0, 8.0
 """What docs/lab_setup.md states as 55 s, 10 s and 5 s, in these tests; and how long the camera is waited for."""
 QUICK = (
-    "from gonio.acquisition import waits; from gonio_drivers import guard, light; "
+    "from gonio.lab.acquisition import waits; from gonio_drivers import guard, light; "
     f"waits.WAITS_S['lamp'] = (0.1, 0.1, 0.1); light.STILL_S = {STILL_S}; guard.ANSWER_S = {ANSWER_S}; "
     f"guard.LOOK_S = 0.2; {COMMAND[-1]}"
 )

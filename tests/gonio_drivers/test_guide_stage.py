@@ -18,9 +18,9 @@ from gonio_sim.wire.peer import Device, SerialPeer, scaled_clock
 from gonio import plugins
 from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Band, Bands
+from gonio.lab.rig import Pose
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band, Bands
 from tests.contracts.rigs import imported
 from tests.places import ROOT
 

@@ -15,13 +15,13 @@ from gonio_drivers.lab import LAB
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.twins import Twins
 
-from gonio.acquisition import waits
-from gonio.acquisition.progress import Live, Pause, Silent
-from gonio.acquisition.run import Run
-from gonio.by_hand.assistant import Assistant
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
-from gonio.rig import Pose
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition import waits
+from gonio.lab.acquisition.progress import Live, Pause, Silent
+from gonio.lab.acquisition.run import Run
+from gonio.lab.by_hand.assistant import Assistant
+from gonio.lab.rig import Pose
+from gonio.lab.rig.description import RigDescription
 from tests.gonio_drivers.conftest import SAMPLE, SCALE, be_patient, bench, by_hand, opened, read, small, written
 from tests.gonio_drivers.test_lab import assert_true, measure
 

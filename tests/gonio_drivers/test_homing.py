@@ -19,8 +19,8 @@ from gonio_sim.wire.servo import Servo
 
 from gonio.config import to_toml
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Homed, Pose
-from gonio.rig.description import ArmAxis, RigDescription
+from gonio.lab.rig import Homed, Pose
+from gonio.lab.rig.description import ArmAxis, RigDescription
 from tests.gonio_drivers.conftest import BAUD, Line, by_hand
 from tests.gonio_drivers.test_arms import TOLERANCE_DEG, describe, servos
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus

@@ -18,7 +18,7 @@ from gonio_drivers.preparation import (
 from gonio_drivers.settings import Changer, ServoAxis
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig.description import ArmAxis, Arms
+from gonio.lab.rig.description import ArmAxis, Arms
 from tests.gonio.numpy_rig import describe
 
 BUS = cast(Bus, SimpleNamespace(port="none", baud=1_000_000, alerts=set()))

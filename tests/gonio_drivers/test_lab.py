@@ -23,15 +23,15 @@ from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins, rig_file
 
-from gonio.acquisition.measure import RigChoice, carry_out, find_rig
-from gonio.acquisition.progress import Silent
-from gonio.acquisition.run import Run
-from gonio.cli.rigs import checks
 from gonio.config import parse, to_toml
 from gonio.errors import ConfigError, DeviceError, Interrupted
-from gonio.reduction import brdf
-from gonio.rig import Pose, Step
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
+from gonio.lab.acquisition.progress import Silent
+from gonio.lab.acquisition.run import Run
+from gonio.lab.commands.rigs import checks
+from gonio.lab.reduction import brdf
+from gonio.lab.rig import Pose, Step
+from gonio.lab.rig.description import RigDescription
 from tests.command_line import says
 from tests.gonio.numpy_rig import plan_in
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, SAMPLE, SCALE, opened, small

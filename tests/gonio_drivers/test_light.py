@@ -22,9 +22,9 @@ from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import SerialPeer
 
 from gonio.errors import ConfigError, DeviceError, EmergencyStop
-from gonio.rig import clock
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Band, Bands, Lamp
+from gonio.lab.rig import clock
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band, Bands, Lamp
 from tests.command_line import some
 from tests.places import ROOT
 

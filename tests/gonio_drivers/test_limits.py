@@ -11,8 +11,8 @@ from gonio_drivers.joints import COUNTS
 from gonio_sim.wire.servo import Mechanics, Servo
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose
-from gonio.rig.description import ArmAxis, Body, Geometry, Holder, RigDescription
+from gonio.lab.rig import Pose
+from gonio.lab.rig.description import ArmAxis, Body, Geometry, Holder, RigDescription
 from tests.gonio_drivers.conftest import Line
 from tests.gonio_drivers.test_arms import TOLERANCE_DEG, degrees, describe, pose, servos
 

@@ -17,8 +17,8 @@ from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
 from gonio_sim.wire.peer import Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
 
-from gonio.by_hand import new_rig
-from gonio.rig.light_and_camera import Band
+from gonio.lab.by_hand import new_rig
+from gonio.lab.rig.light_and_camera import Band
 
 pytestmark = pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial's
 BAUD = 57_600

@@ -17,8 +17,8 @@ from gonio_sim.wire.kinesis import COUNTS_PER_DEG
 from gonio_sim.wire.twins import Twins
 
 from gonio.errors import ConfigError, DeviceError, Disturbed
+from gonio.lab.rig import Pose
 from gonio.measurement import read
-from gonio.rig import Pose
 from tests.command_line import gonio as run
 from tests.gonio_drivers.conftest import SAMPLE, SCALE, angle, by_hand, written
 from tests.gonio_drivers.staged import AXES, PORT, STEP_DEG, on_stages

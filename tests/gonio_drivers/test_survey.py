@@ -10,7 +10,7 @@ from gonio_drivers import arms as servo_arms
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.joints import Joint, Report
 
-from gonio.rig import Reading
+from gonio.lab.rig import Reading
 from tests.gonio_drivers.test_joints import joint
 
 PER_DEG = 4096 / 360

@@ -18,11 +18,11 @@ from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins
 
 from gonio import platform
-from gonio.acquisition.measure import RigChoice
-from gonio.acquisition.progress import Silent
-from gonio.cli.rigs import checks
 from gonio.errors import DeviceError, GonioError, Interrupted
-from gonio.rig import Pose
+from gonio.lab.acquisition.measure import RigChoice
+from gonio.lab.acquisition.progress import Silent
+from gonio.lab.commands.rigs import checks
+from gonio.lab.rig import Pose
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, angle, by_hand, opened, written
 from tests.gonio_drivers.test_lab import crawl, measure
 

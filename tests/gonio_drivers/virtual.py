@@ -3,7 +3,7 @@
 A twin answers in the thread of who writes to it: what it waits for meanwhile is on a time of its own, and what it
 says comes out of the cable when the clock is there. Where several threads are on the clock one runs at a time: when
 all wait, the clock jumps to the moment that the first of them waits for. So nothing hangs on how busy this computer
-is. What another process opens, or what waits otherwise than by `gonio.rig.clock`, needs the real clock.
+is. What another process opens, or what waits otherwise than by `gonio.lab.rig.clock`, needs the real clock.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.servo import Servo
 
 from gonio import platform
-from gonio.acquisition import waits
-from gonio.rig import clock
+from gonio.lab.acquisition import waits
+from gonio.lab.rig import clock
 
 PORT = "/dev/virtual"
 HANGS_S = 60.0

@@ -7,11 +7,11 @@ import pytest
 from gonio_scenes import camera as cameras
 from gonio_scenes.camera import CameraTable, on_disc, point
 
-from gonio.acquisition.measure import find_rig
 from gonio.config import parse
-from gonio.rig import Pose
-from gonio.rig.imaging import pixel_map
-from gonio.rig.kinematics import view
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig import Pose
+from gonio.lab.rig.imaging import pixel_map
+from gonio.lab.rig.kinematics import view
 
 PINHOLE = {
     "position_mm": [0.0, 0.0, 100.0],

@@ -21,8 +21,8 @@ from gonio_scenes.scene import Scene, read
 from gonio import instrument, measurement, models
 from gonio.errors import GonioError
 from gonio.geometry import Directions
-from gonio.rig.dng import encode_dng, read_raw
-from gonio.rig.protocols import Frame
+from gonio.lab.rig.dng import encode_dng, read_raw
+from gonio.lab.rig.protocols import Frame
 from gonio.typing import Floats
 from tests.command_line import some
 from tests.gonio_scenes.scenes import scene

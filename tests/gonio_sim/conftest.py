@@ -6,12 +6,13 @@ from typing import Any
 import pytest
 from gonio_sim.rig import SIM, SIM_IDEAL, SIM_METROLOGY, SimulatedRig
 
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.run import Run
 from gonio.config import parse, to_toml
-from gonio.rig import Pose, Step
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition.measure import RigChoice, carry_out
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.rig import Pose, Step
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import SampleDescription
 
 
 def describe(base: str = "sim", **changes: dict[str, Any]) -> RigDescription:

@@ -9,7 +9,7 @@ from gonio_sim.rig import SimulatedRig
 from scipy import stats
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose
+from gonio.lab.rig import Pose
 from tests.gonio_sim.conftest import describe, step
 
 Build = Callable[..., SimulatedRig]

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.acquisition.run import Run
 from gonio.errors import ConfigError
-from gonio.reduction import brdf, monte_carlo
-from gonio.reduction.table import COMPONENTS
-from gonio.rig.calibration_files import with_keys
-from gonio.rig.calibration_use import Calibrated, CalibrationUse
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf, monte_carlo
+from gonio.lab.reduction.table import COMPONENTS
+from gonio.lab.rig.calibration_files import with_keys
+from gonio.lab.rig.calibration_use import Calibrated, CalibrationUse
+from gonio.lab.rig.description import RigDescription
 from tests.gonio_sim.conftest import describe, measured
 from tests.gonio_sim.test_misaligned_rig import ERRORS
 
@@ -74,7 +74,7 @@ def known(kind: Any, u: dict[str, float], correlation: float = 0.0) -> Calibrati
         ([SENSOR, PIXELS], ONE, 1e-5),
         # the monitor is right to 1e-4 in each frame: of two readings four standard deviations
         ([SENSOR, PIXELS, MONITOR, PROFILE], TWO, 6e-4),
-        # the pixels at the edge of a spot of 12 pixels across, see gonio/rig/test_beam_size.py
+        # the pixels at the edge of a spot of 12 pixels across, see gonio/lab/rig/test_beam_size.py
         ([SENSOR, NARROW, PROFILE], ONE, 1.5e-3),
         ([SENSOR, NARROW, PROFILE, PIXELS, MONITOR], TWO, 1.5e-3),
         # the frame of a lamp spreads its light otherwise than that of a sample: the cube of 4 %

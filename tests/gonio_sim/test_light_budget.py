@@ -11,16 +11,17 @@ import pandas as pd
 import pytest
 
 from gonio import models
-from gonio.acquisition.measure import carry_out, find_rig, load_sample
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.run import Run
 from gonio.config import to_toml
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.reduction import count_rates
-from gonio.reduction.brdf import reduce, reduce_in_parts
-from gonio.rig.calibration_files import Calibration, identity, write_calibration
-from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.lab.acquisition.measure import carry_out, find_rig
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import count_rates
+from gonio.lab.reduction.brdf import reduce, reduce_in_parts
+from gonio.lab.rig.calibration_files import Calibration, identity, write_calibration
+from gonio.samples.description import ParameterUncertainty
+from gonio.samples.files import load_sample
 from tests.gonio_sim.conftest import describe
 
 SMALL = {"width": 96, "height": 96, "pixel_um": 25.0}
@@ -144,7 +145,7 @@ def test_a_point_whose_frames_lack_a_reading_is_flagged(tmp_path: Path) -> None:
     steps[k] = replace(steps[k], frames=(replace(steps[k].frames[0], monitor=None), *steps[k].frames[1:]))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(made, "steps", lambda: steps)
-        patch.setattr("gonio.reduction.table.unfinished", lambda run: "")  # asks for more than a list
+        patch.setattr("gonio.lab.reduction.table.unfinished", lambda run: "")  # asks for more than a list
         # the frame's own record would contradict the journal; files of a camera's own carry none
         patch.setattr(count_rates, "label_of", lambda *of: None)
         table = reduce(made)

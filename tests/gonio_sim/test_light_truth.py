@@ -12,11 +12,12 @@ from gonio_sim.rig import SimulatedRig
 from gonio_sim.world import World
 
 from gonio import geometry, models
-from gonio.acquisition.measure import find_rig
 from gonio.config import to_toml
 from gonio.errors import ConfigError
-from gonio.rig import Pose, Step, imaging, kinematics
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig import Pose, Step, imaging, kinematics
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import SampleDescription
 from tests.gonio_sim.conftest import MATTE, describe
 
 SMALL = {"width": 64, "height": 48, "pixel_um": 50.0}

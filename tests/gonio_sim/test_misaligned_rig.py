@@ -12,19 +12,19 @@ from gonio_sim.render import Renderer
 from gonio_sim.rig import SIM
 from gonio_sim.world import World
 
-from gonio.acquisition.run import Run
 from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
-from gonio.reduction import brdf
-from gonio.reduction.geometry_errors import GeometryErrors
-from gonio.rig import Pose
-from gonio.rig.calibration_files import with_keys
-from gonio.rig.calibration_use import Calibrated, CalibrationUse
-from gonio.rig.description import RigDescription
-from gonio.rig.inverse_kinematics import reach
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
+from gonio.lab.reduction.geometry_errors import GeometryErrors
+from gonio.lab.rig import Pose
+from gonio.lab.rig.calibration_files import with_keys
+from gonio.lab.rig.calibration_use import Calibrated, CalibrationUse
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.inverse_kinematics import reach
 from gonio.typing import Floats
-from tests.gonio.rig import plain_rig
+from tests.gonio.lab.rig import plain_rig
 from tests.gonio_sim.conftest import MATTE, describe, measured
 
 SMALL = {"width": 64, "height": 48, "pixel_um": 33.0}

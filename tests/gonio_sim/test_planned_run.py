@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.acquisition.plan import ANGLES as COLUMNS
 from gonio.errors import DeviceError, Interrupted
 from gonio.instrument import apparent_brdf
+from gonio.lab.acquisition.plan import ANGLES as COLUMNS
+from gonio.lab.reduction import brdf
+from gonio.lab.rig import Frame
+from gonio.lab.rig.description import RigDescription
 from gonio.models import HeTorrance
-from gonio.reduction import brdf
-from gonio.rig import Frame
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.samples.description import SampleDescription
 from tests.gonio.numpy_rig import StopAfter
 from tests.gonio_sim.conftest import describe, measured
 

@@ -13,14 +13,15 @@ from gonio_sim.world import World
 from gonio import models
 from gonio.geometry import angles, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
+from gonio.lab.reduction import brdf
+from gonio.lab.rig import Pose, Target
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.imaging import pixel_map
+from gonio.lab.rig.kinematics import view
+from gonio.lab.rig.light_and_camera import Band
 from gonio.materials import ior
 from gonio.models import fresnel
-from gonio.reduction import brdf
-from gonio.rig import Pose, Target
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.imaging import pixel_map
-from gonio.rig.kinematics import view
-from gonio.rig.light_and_camera import Band
+from gonio.samples.description import SampleDescription
 from gonio.typing import Floats
 from tests.gonio_sim.conftest import MATTE, describe, measured
 

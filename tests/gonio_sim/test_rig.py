@@ -13,11 +13,11 @@ from gonio_sim.world import LAST_S, World, slot_s
 from scipy import stats
 
 from gonio import plugins
-from gonio.acquisition.measure import find_rig
 from gonio.errors import ConfigError, DeviceError
-from gonio.rig import Pose, RigPlugin
-from gonio.rig.description import SampleDescription
-from gonio.rig.light_and_camera import Band
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig import Pose, RigPlugin
+from gonio.lab.rig.light_and_camera import Band
+from gonio.samples.description import SampleDescription
 from tests.gonio_sim.conftest import MATTE, describe, step
 
 Build = Callable[..., SimulatedRig]

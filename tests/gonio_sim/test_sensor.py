@@ -17,7 +17,7 @@ from gonio_sim.world import Stream, World
 from scipy import stats
 
 from gonio.errors import ConfigError
-from gonio.rig.light_and_camera import Camera
+from gonio.lab.rig.light_and_camera import Camera
 from tests.gonio_sim.conftest import describe
 
 SIGMAS = 5.0

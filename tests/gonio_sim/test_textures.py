@@ -13,15 +13,16 @@ from gonio_sim.world import World
 from scipy import special
 
 from gonio import models
-from gonio.acquisition.run import Run
-from gonio.acquisition.samples import load_sample
 from gonio.errors import ConfigError
 from gonio.geometry import angles, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
-from gonio.rig import Pose
-from gonio.rig.description import RigDescription, SampleDescription
-from gonio.rig.imaging import pixel_map
-from gonio.rig.kinematics import view
+from gonio.lab.acquisition.run import Run
+from gonio.lab.rig import Pose
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.imaging import pixel_map
+from gonio.lab.rig.kinematics import view
+from gonio.samples.description import SampleDescription
+from gonio.samples.files import load_sample
 from gonio.typing import Floats
 from tests.gonio_sim.conftest import describe, measured
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from gonio_sim.world import World
 
-from gonio.rig.description import RigDescription
-from tests.gonio.reduction.drawn_runs import rig
+from gonio.lab.rig.description import RigDescription
+from tests.gonio.lab.reduction.drawn_runs import rig
 
 
 def description(wander: float) -> RigDescription:

@@ -19,8 +19,8 @@ from gonio_sweeps.candidates import (
     spread,
 )
 
-from gonio.acquisition.plan import Point, canonical
 from gonio.geometry import Directions
+from gonio.lab.acquisition.plan import Point, canonical
 
 POINTS = [canonical(30.0, 0.0, float(x), 180.0) for x in range(-80, 81)]
 ALL = list(range(len(POINTS)))

@@ -17,16 +17,16 @@ from gonio_sweeps.posterior import AngleErrors, Before, Posterior
 from gonio_sweeps.reconstruct import reconstruct
 
 from gonio import models
-from gonio.acquisition.measure import RigChoice, carry_out, find_rig
-from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, DataError, Interrupted
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
+from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
+from gonio.lab.reduction.angle_errors import angle_axes
+from gonio.lab.reduction.spikes import overlap
+from gonio.lab.rig.description import RigDescription
 from gonio.models.gaussian_process import ENOUGH, Coordinates
-from gonio.reduction import brdf
-from gonio.reduction.angle_errors import angle_axes
-from gonio.reduction.spikes import overlap
-from gonio.rig.description import RigDescription
 from gonio.typing import Floats
 from tests.command_line import some
 from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe, plan_in

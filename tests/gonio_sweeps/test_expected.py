@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from gonio_sweeps import expected
 
-from gonio.acquisition import exposure
-from gonio.acquisition.duration import Durations
-from gonio.acquisition.schedule import reference_pose
-from gonio.rig import Pose, Step
-from gonio.rig.description import Acquisition, Reference
-from gonio.rig.light_and_camera import Camera, Lamp
+from gonio.lab.acquisition import exposure
+from gonio.lab.acquisition.duration import Durations
+from gonio.lab.acquisition.schedule import reference_pose
+from gonio.lab.rig import Pose, Step
+from gonio.lab.rig.description import Acquisition, Reference
+from gonio.lab.rig.light_and_camera import Camera, Lamp
 from tests.gonio.numpy_rig import BANDS, describe
 
 CAMERA = Camera(

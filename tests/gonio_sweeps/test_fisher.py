@@ -13,9 +13,9 @@ from gonio_analysis.fitting.value_covariance import Covariance, independent
 from gonio_sweeps.expected import Known, Sights, gains
 
 from gonio import models
-from gonio.acquisition.measure import find_rig
 from gonio.geometry import Directions, solid_angle_of_cone
-from gonio.rig import Pose, kinematics
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig import Pose, kinematics
 
 RNG = np.random.default_rng(3)
 JACOBIAN = RNG.normal(size=(40, 2))

@@ -18,15 +18,15 @@ from gonio_sweeps.online import GrowingValues, Online
 from gonio_sweeps.parameters import LARGEST, Parameters
 
 from gonio import measurement, models
-from gonio.acquisition.measure import carry_out, find_rig
-from gonio.acquisition.plan import Plan, Point, canonical, load_plan
-from gonio.acquisition.run import Run
-from gonio.acquisition.sampling import Choice, about, sampler_of
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
-from gonio.reduction.brdf import reduce
-from gonio.rig import Pose, inverse_kinematics, kinematics
-from gonio.rig.description import SampleDescription
+from gonio.lab.acquisition.measure import carry_out, find_rig
+from gonio.lab.acquisition.plan import Plan, Point, canonical, load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.sampling import Choice, about, sampler_of
+from gonio.lab.reduction.brdf import reduce
+from gonio.lab.rig import Pose, inverse_kinematics, kinematics
+from gonio.samples.description import SampleDescription
 from tests.gonio.numpy_rig import StopAfter, plan_in
 from tests.gonio_analysis.synthetic import known
 
@@ -328,7 +328,7 @@ def assert_a_file_keeps_what_a_fit_needs(run: Run, path: Path) -> None:
 
 
 def test_spent_time_is_that_of_the_frames_that_were_taken(tmp_path: Path) -> None:
-    from gonio.acquisition.duration import Durations
+    from gonio.lab.acquisition.duration import Durations
 
     run = measured(plan_in(tmp_path, PLAN.format(keys=MATTE.format(albedo=0.5, sigma=60.0))), tmp_path / "run")
     exposures = sum(frame.exposure_s for step in run.steps() for frame in step.frames)
@@ -340,6 +340,6 @@ def test_spent_time_is_that_of_the_frames_that_were_taken(tmp_path: Path) -> Non
 
 
 def _step(record: Any) -> Any:
-    from gonio.rig import Step
+    from gonio.lab.rig import Step
 
     return Step(record.step, record.kind, record.point, record.goal)

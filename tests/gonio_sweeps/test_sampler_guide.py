@@ -14,11 +14,12 @@ from typing import Any
 import pytest
 
 from gonio import plugins
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.run import Run
 from gonio.errors import ConfigError, Interrupted
-from gonio.rig import Frame
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.rig import Frame
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import SampleDescription
 from tests.gonio.cli.test_cli import installed, process
 from tests.gonio.numpy_rig import NumpyRig, Plugin, StopAfter, measured
 from tests.places import ROOT, fenced

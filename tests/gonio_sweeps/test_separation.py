@@ -18,15 +18,15 @@ from gonio_sweeps.separation import Gathered, separation
 from scipy.stats import multivariate_normal
 
 from gonio import models
-from gonio.acquisition.duration import Durations
-from gonio.acquisition.measure import assessed, carry_out, find_rig
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.run import Run
-from gonio.acquisition.sampling import about, sampler_of
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
-from gonio.reduction.brdf import reduce
-from gonio.rig.description import SampleDescription
+from gonio.lab.acquisition.duration import Durations
+from gonio.lab.acquisition.measure import assessed, carry_out, find_rig
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.sampling import about, sampler_of
+from gonio.lab.reduction.brdf import reduce
+from gonio.samples.description import SampleDescription
 from tests.command_line import gonio
 from tests.gonio.numpy_rig import StopAfter
 from tests.gonio_sweeps.test_parameters import SMALL

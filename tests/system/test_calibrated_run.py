@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 from gonio_sim.rig import SIM
 
-from gonio.acquisition.journal import Journal
-from gonio.acquisition.measure import find_rig
 from gonio.disk import write_own
+from gonio.lab.acquisition.journal import Journal
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig.calibration_files import Calibration, identity, write_calibration
 from gonio.measurement import read
-from gonio.rig.calibration_files import Calibration, identity, write_calibration
-from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.samples.description import ParameterUncertainty
 from tests.command_line import gonio, says
-from tests.gonio.calibration.test_camera import small
+from tests.gonio.lab.calibration.test_camera import small
 from tests.system.conftest import LAMBERT
 
 PLAN = 'name = "p"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20]\ntheta_r_deg = [-50, 5, 45]\n'

@@ -20,7 +20,7 @@ HELD = """
 import sys, time
 from pathlib import Path
 from gonio.cli import main
-from gonio.acquisition.journal import Journal
+from gonio.lab.acquisition.journal import Journal
 
 steps, heard, write = int(sys.argv.pop(1)), Path(sys.argv.pop(1)), Journal.append
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from gonio.acquisition.frame_writer import BESIDE
-from gonio.acquisition.run import Run
 from gonio.disk import only_file, read_file
-from gonio.reduction import brdf
+from gonio.lab.acquisition.frame_writer import BESIDE
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
 from tests.gonio.numpy_rig import measured, plan_in
 
 LIMIT_S = 60
@@ -41,12 +41,12 @@ CALLED = """
 import json
 import sys
 from pathlib import Path
-from gonio.acquisition import repair
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.run import Run
+from gonio.lab.acquisition import repair
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
 from gonio.errors import GonioError
 from gonio import measurement
-from gonio.reduction import brdf
+from gonio.lab.reduction import brdf
 from tests.gonio.numpy_rig import measured
 
 todo = {

@@ -22,7 +22,7 @@ TRUTH: dict[str, Any] = tomllib.loads(
 )
 FILED = tomllib.loads(SIM_UNCALIBRATED.toml)
 APART = ("camera.full_well_e",)
-"""What has a test of its own (tests/gonio/calibration/test_camera.py): it is no mean of independent readings."""
+"""What has a test of its own (tests/gonio/lab/calibration/test_camera.py): it is no mean of independent readings."""
 
 
 def blocks() -> list[tuple[str, str]]:

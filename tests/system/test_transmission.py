@@ -10,9 +10,9 @@ from gonio_analysis import change, fit
 from gonio_analysis.report import make
 
 from gonio import measurement
-from gonio.acquisition.measure import find_rig
-from gonio.acquisition.plan import assess, load_plan
 from gonio.errors import ConfigError, DataError
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.acquisition.plan import assess, load_plan
 from tests.command_line import gonio, some
 
 PLAN = """name = "diffuser"

@@ -11,7 +11,7 @@ from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.choice import choose
 from gonio_analysis.selection.judging import Candidate
 
-from gonio.acquisition.run import Run
+from gonio.lab.acquisition.run import Run
 from gonio.measurement import read
 from tests.system.conftest import LAMBERT, Command
 

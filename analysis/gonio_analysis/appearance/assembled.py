@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from gonio.shown import finite
 from gonio_analysis.appearance import sampled
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
-from gonio_analysis.result_records import Appearance, AtIncidence, Colour, Quantity, Retroreflection, finite
+from gonio_analysis.result_records import Appearance, AtIncidence, Colour, Quantity, Retroreflection
 
 WHITE_L = 100.0
 """L* of the perfect diffuser."""

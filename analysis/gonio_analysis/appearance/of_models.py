@@ -15,17 +15,18 @@ from gonio.config import numbers_in, with_numbers
 from gonio.errors import ArgumentError
 from gonio.geometry import ANGLES, Directions
 from gonio.models.corrected import UNMEASURED, Correction, folded, reflected
+from gonio.shown import finite
 from gonio.typing import Floats
 from gonio_analysis.appearance.assembled import MULTI_ANGLE, RETRO, _assembled, _key, _Numbers
 from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS, gloss, parts
 from gonio_analysis.appearance.sampled import NotMeasured, Sampled
 from gonio_analysis.fitting.energy import ANYWHERE, UNDETERMINED, UNKNOWN
 from gonio_analysis.fitting.propagation import axes_of
-from gonio_analysis.result_records import Appearance, Quantity, finite
+from gonio_analysis.result_records import Appearance, Quantity
 
 if TYPE_CHECKING:
     from gonio.models import Model
-    from gonio.rig.description import SampleDescription
+    from gonio.samples.description import SampleDescription
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.level import Level
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from gonio.checks.values import Rows
-from gonio.cli.console import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
+from gonio.progress import Pace, Say, silent
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.changes.consensus import (
     METHODS,

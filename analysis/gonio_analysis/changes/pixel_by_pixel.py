@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from gonio.errors import DataError
 from gonio.maps import FitFile, Tile
-from gonio.reduction.threads import in_threads
+from gonio.threads import in_threads
 from gonio.typing import Bools, Floats
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES
 

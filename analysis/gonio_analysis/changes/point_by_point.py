@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio import geometry, measurement, shown
-from gonio.cli.console import Say, silent
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.measurement import is_simulated, of_reader
 from gonio.models.corrected import Corrected, folded
+from gonio.progress import Say, silent
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.changes.resampling import Carried, Known, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
@@ -211,7 +211,7 @@ def side(spec: str, how: Reading | None = None, u_rel: float | None = None) -> S
         From reading it; a file of several samples has to be narrowed to one.
     """
     if spec.endswith(".toml"):
-        from gonio.acquisition.samples import load_model
+        from gonio.samples.files import load_model
 
         model, sample = load_model(spec)
         off = 0.0 if sample.uncertainty is None else sample.uncertainty.misfit

@@ -15,10 +15,10 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from gonio.errors import DataError
+from gonio.shown import finite
 from gonio.typing import DataFrame, Figure, Floats
 from gonio_analysis.changes.resampling import carry, slope_in_plane
 from gonio_analysis.fitting.observations import Observations, observations
-from gonio_analysis.result_records import finite
 
 SHARE = 0.6
 """Share of the directions that is used, the brightest by their signal f cos(theta_r)."""

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.cli.console import Pace, Say, silent
 from gonio.geometry import FARTHEST, SAME_ANGLE, SAME_DIRECTION, Directions, direction, groups
+from gonio.progress import Pace, Say, silent
 from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations, Unused
 

@@ -1,4 +1,4 @@
-"""The commands `gonio demo`, `fit`, `compare`, `report`, `appearance` and `watch`.
+"""The commands `gonio fit`, `compare`, `report` and `appearance`.
 
 Nothing heavy is imported before a command runs: `gonio --help` has to answer at once. What a command does once its
 options are read stands in `gonio_analysis.commands.implementations`.
@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gonio.cli.opened import Blank, Columns, reading, remember
+from gonio.cli.options import Blank, Columns, reading, remember
 from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_prior, read_radius
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
@@ -84,32 +84,6 @@ Shared = Annotated[
     ),
 ]
 Residual = Annotated[bool, typer.Option("--residual", help="Save the model with a smooth curve of its misfit.")]
-
-
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("gonio-demo"),
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer directions: done in seconds.")] = False,
-) -> None:
-    """Measure, reduce, fit and report one simulated sample. Prints the report's path last."""
-    from gonio_analysis.commands.demonstration import run_demo
-
-    print(run_demo(out, quick=quick))
-
-
-def watch(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run; it need not exist yet.")],
-    port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port of the page; that of last time, or any that is free.")
-    ] = None,
-    host: Annotated[
-        str, typer.Option(help="Address to serve at; other machines see the page at 0.0.0.0.")
-    ] = "127.0.0.1",
-    text: Annotated[bool, typer.Option("--text", help="Show the run in the terminal, too; end with it.")] = False,
-) -> None:
-    """Follow a run from another process, or look at one that has ended. Prints the page's address first."""
-    from gonio_analysis.commands import watching
-
-    watching.watch(run, host, port, text)
 
 
 def fit(

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio import maps, measurement, shown
-from gonio.acquisition.run import command_line
-from gonio.acquisition.run_folder import check_writable
 from gonio.cli import console
-from gonio.cli.opened import remember
+from gonio.cli.options import remember
+from gonio.disk import check_writable
 from gonio.errors import ConfigError, Incomplete
 from gonio.maps import is_map
 from gonio.measurement import Reading
+from gonio.platform import command_line
 from gonio_analysis import report as comparison
 from gonio_analysis import result_records as results
 from gonio_analysis.commands.arguments import once, with_u_ior

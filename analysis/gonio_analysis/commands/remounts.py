@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gonio import canvas
-from gonio.cli.opened import Blank, Columns, reading, remember
+from gonio.cli.options import Blank, Columns, reading, remember
 
 
 def remounts(

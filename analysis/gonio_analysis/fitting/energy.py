@@ -7,13 +7,14 @@ import numpy as np
 
 from gonio.checks import hemisphere
 from gonio.models.corrected import UNMEASURED, folded, reflected
+from gonio.shown import finite
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength, known_wavelength, rho_angles, rho_dh
 from gonio_analysis.fitting.level import TIGHTER, Level, level
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.solution import LOOSE
-from gonio_analysis.result_records import Reflectance, finite
+from gonio_analysis.result_records import Reflectance
 
 STEP = 1e-3
 """Step of derivatives by the parameters, on the search scale; right to a thousandth, with integrals to `TOLERANCE`."""

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.cli.console import Say, silent
 from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models.parameters import Declaration, Values
+from gonio.progress import Say, silent
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.forward import apparent, by_model, known_wavelength, pointlike, rho_angles
 from gonio_analysis.fitting.misfit import SMALLEST, block_spread, estimated_tau, misfit

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.checks.values import Rows
-from gonio.cli.console import Pace, Say, silent
 from gonio.models.batch import SIGNIFICANCE
 from gonio.models.parameters import Values
+from gonio.progress import Pace, Say, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike

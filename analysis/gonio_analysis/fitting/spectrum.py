@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gonio.cli.console import Pace, Say, silent
+from gonio.progress import Pace, Say, silent
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.fit import FitResult, at_solution, elsewhere, fit, known_by_blocks, remarks
 from gonio_analysis.fitting.forward import apparent

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 import gonio
-from gonio.acquisition.run_folder import check_writable
+from gonio.disk import check_writable
 from gonio.errors import ConfigError, DataError
 from gonio.maps import FIT_FLAGS, SUFFIXES, MapFile, Parts, Tile, Variable, is_map
 from gonio.models.engine import alone
-from gonio.reduction.threads import in_threads
+from gonio.threads import in_threads
 from gonio.typing import Floats, JsonObject
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.maps import materials as shared

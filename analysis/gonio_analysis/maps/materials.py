@@ -20,7 +20,7 @@ from gonio.errors import DataError
 from gonio.geometry import Directions
 from gonio.maps import MapFile, Parts, Tile, Variable
 from gonio.models import batch_spectra
-from gonio.reduction.threads import in_threads
+from gonio.threads import in_threads
 from gonio.typing import Floats
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM
 from gonio_analysis.fitting.problem import FitRequest, pose

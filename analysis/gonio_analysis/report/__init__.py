@@ -12,6 +12,8 @@ from gonio import lost, measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading, of_reader, said_once
 from gonio.models.parameters import Ior
+from gonio.run_facts import RunFacts
+from gonio.run_facts import of as run_facts
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
@@ -31,12 +33,10 @@ from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.section import drawings_of, facts_of
 from gonio_analysis.report.sections import SECTIONS
-from gonio_analysis.result_records import RunFacts
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.beyond_reflection import Transmitted, transmitted
 from gonio_analysis.selection.choice import candidates
 from gonio_analysis.selection.compare import Dataset, check_models, examine
-from gonio_analysis.selection.run_record import run_facts
 
 Measured = tuple[str, str, Any, RunFacts | None]
 """A sample's name, where it comes from, its table, and what its run says."""

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gonio.cli.console import Say, silent
 from gonio.errors import DataError
 from gonio.geometry import AROUND_MIRROR, SAME_ANGLE, angle_between, groups
+from gonio.progress import Say, silent
 from gonio.typing import Floats, Ints
 from gonio_analysis.changes.point_by_point import Change, Side, change, laid_on
 from gonio_analysis.changes.resampling import RowsAt, common_wavelengths

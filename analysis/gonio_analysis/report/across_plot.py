@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.shown import finite
 from gonio_analysis.changes.point_by_point import laid_on
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, Line, curves, evenly, labels
 from gonio_analysis.fitting.observations import Observations
@@ -16,7 +17,6 @@ from gonio_analysis.report.comparison import sides_of
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.figures import key
 from gonio_analysis.report.lobe_pairs import same_incidence
-from gonio_analysis.result_records import finite
 from gonio_analysis.selection.compare import Dataset
 
 MOST_SAMPLES = 6

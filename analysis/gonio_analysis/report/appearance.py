@@ -61,7 +61,7 @@ def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = N
         From reading it; a file of several samples has to be narrowed to one.
     """
     if spec.endswith(".toml"):
-        from gonio.acquisition.measure import load_sample
+        from gonio.samples.files import load_sample
 
         return of_sample(load_sample(spec, uniform=True), source=spec, wavelength_nm=wavelength_nm)
 

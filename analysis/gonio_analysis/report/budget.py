@@ -9,6 +9,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 
+from gonio.run_facts import BudgetCurve, BudgetFacts, RunFacts
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.plots import in_plane
 from gonio_analysis.plots.in_plane import COLOURS, clean
@@ -20,7 +21,6 @@ from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 from gonio_analysis.report.section import Figures as ByKind
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import cause, number, percent
-from gonio_analysis.result_records import BudgetCurve, BudgetFacts, RunFacts
 
 KIND = "budget-shares"
 REST = "the rest"

@@ -9,6 +9,9 @@ import numpy as np
 
 from gonio import lost
 from gonio.measurement import Reading, of_reader, said_once
+from gonio.run_facts import RunFacts
+from gonio.run_facts import of as run_facts
+from gonio.shown import finite
 from gonio_analysis.changes.point_by_point import Change, Compared, compared, side
 from gonio_analysis.changes.resampling import RowsAt
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, OFTEN, Effect, Verdict
@@ -21,8 +24,6 @@ from gonio_analysis.report.blocks import Stamp, stamp, titled
 from gonio_analysis.report.change_page import Waves
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.files import ROWS_AT_ONCE, write_columns, write_csv
-from gonio_analysis.result_records import RunFacts, finite
-from gonio_analysis.selection.run_record import run_facts
 
 FIGURES = 6
 """Figures that a comparison has, about."""

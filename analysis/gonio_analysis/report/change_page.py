@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gonio.measurement import said_once
+from gonio.run_facts import RunFacts
 from gonio_analysis.changes.point_by_point import Change
 from gonio_analysis.changes.verdict import CLOSER, FALSE_DISCOVERIES, LEVEL, OFTEN, Effect, Verdict
 from gonio_analysis.fitting.objective import DESCRIPTIONS, meaning
@@ -33,7 +34,6 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.page import MOST_BYTES
 from gonio_analysis.report.text import number, percent, spoken_difference, with_u
-from gonio_analysis.result_records import RunFacts
 
 ALIKE = 0.9
 """Cosine between what the zeros of both arms do, above which either may be it."""

@@ -11,6 +11,7 @@ from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio.lost import kept
+from gonio.shown import finite
 from gonio.typing import DataFrame
 from gonio_analysis.appearance.quantities import of_table
 from gonio_analysis.changes import point_by_point
@@ -20,7 +21,7 @@ from gonio_analysis.report import across, across_words, checks, verdict
 from gonio_analysis.report.blocks import stamp
 from gonio_analysis.report.facts import Comparison, DatasetSummary, Summary
 from gonio_analysis.report.text import number, slugs, spoken_difference
-from gonio_analysis.result_records import Appearance, MeasuredValue, as_json, finite
+from gonio_analysis.result_records import Appearance, MeasuredValue, as_json
 from gonio_analysis.selection.across_models import across_models, remedy
 from gonio_analysis.selection.compare import Dataset
 from gonio_analysis.selection.judging import nearness

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from gonio import canvas, lost, platform
-from gonio.cli.console import Say, silent
+from gonio.progress import Say, silent
 from gonio.shown import visible
 from gonio_analysis.plots.style import apart
 from gonio_analysis.processes import Outcome, Processes

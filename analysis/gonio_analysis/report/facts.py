@@ -7,6 +7,7 @@ from typing import Any
 from gonio import shown
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
+from gonio.run_facts import RunFacts
 from gonio_analysis.report.across import Across
 from gonio_analysis.report.drawing import Described
 from gonio_analysis.result_records import (
@@ -16,7 +17,6 @@ from gonio_analysis.result_records import (
     ChecksSummary,
     MeasuredValue,
     Reflectance,
-    RunFacts,
 )
 from gonio_analysis.selection.across_models import AcrossModels
 from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted

@@ -22,8 +22,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio import lost, platform
-from gonio.acquisition.run_folder import check_writable
-from gonio.disk import MANIFEST, NOT_OWN, foreign_files, manifest_of, remove_own, require_name, write_manifest
+from gonio.disk import (
+    MANIFEST,
+    NOT_OWN,
+    check_writable,
+    foreign_files,
+    manifest_of,
+    remove_own,
+    require_name,
+    write_manifest,
+)
 from gonio.errors import ConfigError, os_error_as
 from gonio.formats.text import cell_of
 from gonio.shown import visible

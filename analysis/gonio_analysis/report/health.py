@@ -9,6 +9,7 @@ from datetime import datetime, timedelta
 from functools import partial
 from typing import Any
 
+from gonio.run_facts import HealthSummary, PauseSummary, ReferenceLevel, RunFacts, SessionSummary
 from gonio.shown import with_u
 from gonio_analysis.plots.in_plane import clean, dashes, style
 from gonio_analysis.plots.style import FAINT
@@ -17,7 +18,6 @@ from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import number
-from gonio_analysis.result_records import HealthSummary, PauseSummary, ReferenceLevel, RunFacts, SessionSummary
 
 KIND = "health"
 PANEL_IN = 1.35

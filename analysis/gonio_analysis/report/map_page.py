@@ -16,7 +16,7 @@ from gonio import lost
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.maps import FLAGS, FitFile, MapFile, Tile
-from gonio.reduction.threads import in_threads
+from gonio.threads import in_threads
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.report import files, frame, html, map_layers, map_view
 from gonio_analysis.report.blocks import (

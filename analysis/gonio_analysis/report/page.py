@@ -6,6 +6,7 @@ The section "Provenance" says when and how a report was made, and where its valu
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from gonio.run_facts import RunFacts
 from gonio_analysis.report import beyond_reflection, frame, html, sample
 from gonio_analysis.report.blocks import (
     MOST_ROWS,
@@ -36,7 +37,6 @@ from gonio_analysis.report.model_tables import fitted_words
 from gonio_analysis.report.section import part
 from gonio_analysis.report.text import FILLING, difference, number, percent, slug, with_u
 from gonio_analysis.report.viewer import View
-from gonio_analysis.result_records import RunFacts
 
 MOST_SOURCES = 50
 """Samples whose provenance stands on the page."""
@@ -91,7 +91,7 @@ def _calibration(used: Mapping[str, Any]) -> str:
 
 
 def _reference(band: Mapping[str, Any]) -> str:
-    """What the measurements of the white reference said, as `gonio.reduction.brdf.reduce` leaves it."""
+    """What the measurements of the white reference said, as `gonio.lab.reduction.brdf.reduce` leaves it."""
     level, slope, u_slope = band["level_e_per_s_sr"], band["drift_per_hour"], band["u_drift_per_hour"]
     drift, steady = "unknown", "that tell no drift"
     if slope is not None:

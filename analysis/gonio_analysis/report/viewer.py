@@ -5,12 +5,12 @@ from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
+from gonio.shown import finite
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, evenly, labels, selection
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.plots import thinning
 from gonio_analysis.report.facts import DatasetSummary
-from gonio_analysis.result_records import finite
 from gonio_analysis.selection.compare import Dataset, theory_angles
 
 MOST_LISTED = 16

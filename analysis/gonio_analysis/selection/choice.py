@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from gonio.cli.console import QUIET_S, Say, duration
 from gonio.errors import ConfigError, DataError
 from gonio.models.parameters import Ior, Values
+from gonio.progress import QUIET_S, Say, duration
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit

@@ -13,10 +13,11 @@ import numpy as np
 
 from gonio import geometry, shown
 from gonio.checks.symmetry import Pairs, symmetries
-from gonio.cli.console import Pace, Say
 from gonio.errors import ConfigError, DataError
 from gonio.measurement import is_simulated
 from gonio.models.parameters import Ior
+from gonio.progress import Pace, Say
+from gonio.run_facts import RunFacts
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Line, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting import energy, parameters
@@ -24,7 +25,7 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.objective import metrics
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
-from gonio_analysis.result_records import Reflectance, RunFacts
+from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted, polarisation, transmitted
 from gonio_analysis.selection.choice import Choice, candidates, choose

@@ -10,9 +10,9 @@ import numpy as np
 
 from gonio import shown
 from gonio.checks.values import Rows
-from gonio.cli.console import Say, silent
 from gonio.geometry import Directions
 from gonio.models.parameters import Ior
+from gonio.progress import Say, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult

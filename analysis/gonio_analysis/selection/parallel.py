@@ -9,8 +9,8 @@ from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
-from gonio.cli.console import Pace, Say, silent
 from gonio.errors import ConfigError, DataError
+from gonio.progress import Pace, Say, silent
 from gonio_analysis.processes import Processes, processes
 
 FEW = 4

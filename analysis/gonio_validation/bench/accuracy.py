@@ -4,8 +4,8 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from gonio_analysis.result_records import finite
 
+from gonio.shown import finite
 from gonio.typing import Floats
 from gonio_validation.bench.quantity import SETS, ErrorSummary, Quantity, Sample, Set, Way
 

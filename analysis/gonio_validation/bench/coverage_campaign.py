@@ -18,23 +18,24 @@ import numpy as np
 from gonio_analysis.fitting.energy import of_model
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.profile_likelihood import walked
-from gonio_analysis.result_records import finite
 
 from gonio import instrument, measurement, models
-from gonio.acquisition.measure import carry_out, find_rig, load_sample
-from gonio.acquisition.plan import ANGLES, load_plan
-from gonio.by_hand import alignment, rig_file
-from gonio.by_hand.alignment_scans import Scans
-from gonio.by_hand.manual_rig import ManualRig, open_rig
-from gonio.calibration import camera, lamp_scan, lamp_stability
-from gonio.calibration.camera_scan import Scan
 from gonio.config import numbers_in, read_toml, to_toml, with_numbers
 from gonio.errors import GonioError, Interrupted
 from gonio.geometry import AROUND_MIRROR, Directions
-from gonio.reduction import brdf
-from gonio.rig.calibration_files import Calibration, identity, uncalibrated, with_keys, write_calibration
-from gonio.rig.calibration_use import ParameterUncertainty
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition.measure import carry_out, find_rig
+from gonio.lab.acquisition.plan import ANGLES, load_plan
+from gonio.lab.by_hand import alignment, rig_file
+from gonio.lab.by_hand.alignment_scans import Scans
+from gonio.lab.by_hand.manual_rig import ManualRig, open_rig
+from gonio.lab.calibration import camera, lamp_scan, lamp_stability
+from gonio.lab.calibration.camera_scan import Scan
+from gonio.lab.reduction import brdf
+from gonio.lab.rig.calibration_files import Calibration, identity, uncalibrated, with_keys, write_calibration
+from gonio.lab.rig.description import RigDescription
+from gonio.samples.description import ParameterUncertainty
+from gonio.samples.files import load_sample
+from gonio.shown import finite
 from gonio.typing import DataFrame, Floats
 from gonio_validation.bench.campaigns import Record
 from gonio_validation.bench.coverage_hidden import Campaign

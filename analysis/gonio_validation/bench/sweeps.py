@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from gonio_sweeps.posterior import Posterior
 
-from gonio.acquisition.measure import find_rig
 from gonio.config import Strict
+from gonio.lab.acquisition.measure import find_rig
 from gonio.typing import Floats, JsonObject
 from gonio_validation.bench import campaigns, sweeps_page, sweeps_rig, timing
 from gonio_validation.bench.campaigns import Campaigns, Record, Step, as_csv, at_least

@@ -21,15 +21,15 @@ from gonio_sweeps.curve import Curve
 from gonio_sweeps.online import GrowingValues
 
 from gonio import models
-from gonio.acquisition.duration import Durations
-from gonio.acquisition.plan import Adaptive, Assessed, Plan, Point, assess, canonical
-from gonio.acquisition.plan_tables import HalfVector, Hemisphere
 from gonio.geometry import Directions, direction, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
+from gonio.lab.acquisition.duration import Durations
+from gonio.lab.acquisition.plan import Adaptive, Assessed, Plan, Point, assess, canonical
+from gonio.lab.acquisition.plan_tables import HalfVector, Hemisphere
+from gonio.lab.rig import Pose, Step, kinematics
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.light_and_camera import Band
 from gonio.models import Model
-from gonio.rig import Pose, Step, kinematics
-from gonio.rig.description import RigDescription
-from gonio.rig.light_and_camera import Band
 from gonio.typing import Floats
 
 BEYOND = math.radians(89.9)

@@ -151,10 +151,11 @@ def measure(
         Called with a line before the measurement.
     """
     from gonio import measurement
-    from gonio.acquisition.measure import carry_out, find_rig, load_sample
-    from gonio.acquisition.plan import load_plan
     from gonio.config import to_toml
-    from gonio.reduction import brdf
+    from gonio.lab.acquisition.measure import carry_out, find_rig
+    from gonio.lab.acquisition.plan import load_plan
+    from gonio.lab.reduction import brdf
+    from gonio.samples.files import load_sample
 
     points = sum(map(len, scans.values()))
     progress(f"{name}: measuring {points} directions on the simulated goniometer")
@@ -208,7 +209,7 @@ def divided(curve: Curve, by: float) -> tuple[Floats, Floats, Floats]:
 
 def _rig(name: str, wavelength_nm: float, solid_angle_sr: float) -> TomlTable:
     """The tables of the rig "sim", with a lamp and a lens of this solid angle, one band, and a small sensor."""
-    from gonio.acquisition.measure import find_rig
+    from gonio.lab.acquisition.measure import find_rig
 
     half = float(geometry.half_angle_of_cone(solid_angle_sr))
     tables: TomlTable = find_rig("sim").description.model_dump(mode="json", exclude_none=True, exclude={"devices"})

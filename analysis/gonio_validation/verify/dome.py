@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import poisson
 
-from gonio.reduction.monte_carlo import Drawn, drawn
+from gonio.lab.reduction.monte_carlo import Drawn, drawn
 from gonio.typing import Floats
 from gonio_validation.verify.finding import Finding, near
 

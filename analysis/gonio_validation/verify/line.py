@@ -75,9 +75,10 @@ def measured(folder: Path) -> list[Finding]:
     """See `gonio_validation.verify`."""
     from gonio_analysis.fitting.fit import fit
 
-    from gonio.acquisition.measure import carry_out, find_rig, load_sample
-    from gonio.acquisition.plan import load_plan
-    from gonio.reduction import brdf
+    from gonio.lab.acquisition.measure import carry_out, find_rig
+    from gonio.lab.acquisition.plan import load_plan
+    from gonio.lab.reduction import brdf
+    from gonio.samples.files import load_sample
 
     rng = np.random.default_rng(SEED)
     true = {"albedo": rng.uniform(0.3, 0.9), "sigma_deg": rng.uniform(15.0, 30.0)}

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from gonio.rig import clock
+from gonio.lab.rig import clock
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.faults import Faults
 from gonio_sim.wire.peer import Device, Send

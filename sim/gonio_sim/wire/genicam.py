@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.rig import clock
+from gonio.lab.rig import clock
 from gonio.typing import NDArray
 
 FORMATS = {

@@ -9,8 +9,8 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gonio.rig import clock
-from gonio.rig.light_and_camera import Band
+from gonio.lab.rig import clock
+from gonio.lab.rig.light_and_camera import Band
 from gonio_sim.wire.faults import LAMP, LOCK_QUESTIONS, Faults
 from gonio_sim.wire.peer import Device, Send
 

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Self
 
 from gonio import platform
-from gonio.rig import clock
+from gonio.lab.rig import clock
 
 OPENING_MS = 5
 """How often to look whether a closed port has been opened."""

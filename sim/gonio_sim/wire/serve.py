@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gonio.rig.description import RigDescription, SampleDescription
+    from gonio.lab.rig.description import RigDescription
+    from gonio.samples.description import SampleDescription
     from gonio_sim.wire.twins import Twins
 
 app = typer.Typer(help="Twins of laboratory devices.", no_args_is_help=True)
@@ -44,9 +45,10 @@ def serve(
     """Serve twins of a rig file's devices on pseudo-terminals, or over TCP. They run until Ctrl-C."""
 
     from gonio import platform
-    from gonio.acquisition.measure import find_rig, load_sample
     from gonio.disk import require_own, write_own
     from gonio.errors import ConfigError
+    from gonio.lab.acquisition.measure import find_rig
+    from gonio.samples.files import load_sample
     from gonio_sim.wire import faults
     from gonio_sim.wire.twins import Twins, rig_file
 
@@ -110,9 +112,9 @@ def _require_twins(description: RigDescription) -> None:
 
 def _require_measurable(rig: str, path: Path, sample: SampleDescription | None) -> None:
     """Raise `ConfigError`, which names the rig that was asked for, where `measure` refuses that of its twins."""
-    from gonio.acquisition.measure import check_patches, find_rig
-    from gonio.acquisition.schedule import reference_pose
     from gonio.errors import ConfigError
+    from gonio.lab.acquisition.measure import check_patches, find_rig
+    from gonio.lab.acquisition.schedule import reference_pose
 
     try:
         choice = find_rig(str(path))

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gonio.rig import clock as wall
+from gonio.lab.rig import clock as wall
 from gonio_sim.wire import motion, tables
 from gonio_sim.wire import protocol2 as p2
 from gonio_sim.wire.peer import Clock

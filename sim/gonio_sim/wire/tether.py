@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gonio.errors import ConfigError
-from gonio.rig import Frame, clock
-from gonio.rig.dng import encode_dng, write_dng
+from gonio.lab.rig import Frame, clock
+from gonio.lab.rig.dng import encode_dng, write_dng
 from gonio_sim.wire.faults import CAMERA, FILE_LATE_S, Faults
 from gonio_sim.wire.peer import Device, Send
 

@@ -18,11 +18,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gonio.config import to_toml
 from gonio.errors import ConfigError, os_error_as
-from gonio.rig import Frame, Pose
-from gonio.rig.calibration_files import uncalibrated
-from gonio.rig.description import Axis, RigDescription, SampleDescription
-from gonio.rig.dng import encode_dng
-from gonio.rig.kinematics import encoder_error
+from gonio.lab.rig import Frame, Pose
+from gonio.lab.rig.calibration_files import uncalibrated
+from gonio.lab.rig.description import Axis, RigDescription
+from gonio.lab.rig.dng import encode_dng
+from gonio.lab.rig.kinematics import encoder_error
+from gonio.samples.description import SampleDescription
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer
 from gonio_sim.wire import faults as fault_names

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from gonio.rig import clock
+from gonio.lab.rig import clock
 from gonio.typing import Array
 
 QUEUE = 4

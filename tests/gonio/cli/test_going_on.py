@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from gonio.acquisition.resuming import unfinished
-from gonio.acquisition.run import Run
-from gonio.reduction import brdf
+from gonio.lab.acquisition.resuming import unfinished
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
 from tests.command_line import gonio, says
 from tests.gonio import numpy_rig
 

@@ -14,17 +14,17 @@ from pathlib import Path
 
 import pytest
 
-from gonio.cli.align import End, Jog, JogKeys, Line
+from gonio.lab.commands.align import End, Jog, JogKeys, Line
 from tests.command_line import gonio
 
 SCRIPT = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, {root!r})
-from gonio.acquisition.measure import RigChoice, carry_out
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.progress import Pause
-from gonio.cli import console
+from gonio.lab.acquisition.measure import RigChoice, carry_out
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.progress import Pause
+from gonio.lab.commands.progress import on_screen
 from gonio.errors import GonioError
 from tests.gonio.numpy_rig import PLAN, SAMPLE, NumpyRig, Plugin, describe
 
@@ -51,7 +51,7 @@ class Opens(Plugin):
 
 pause = Pause()
 try:
-    with console.progress(pause) as progress:
+    with on_screen(pause) as progress:
         run = carry_out(load_plan(work / "plan.toml"), RigChoice(Opens(), describe(), "numpy"), work / "run",
                         sample=SAMPLE, seed=1, progress=progress, pause=pause, last=True)
     print("DONE", [event["event"] for event in run.events()].count("paused"), flush=True)

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from gonio import plugins
-from gonio.acquisition.measure import carry_out, find_rig
-from gonio.acquisition.plan import load_plan
 from gonio.errors import ConfigError
 from gonio.formats.certificate import reflectance
-from gonio.reduction.brdf import reduce
-from gonio.rig.description import SampleDescription
+from gonio.lab.acquisition.measure import carry_out, find_rig
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.reduction.brdf import reduce
+from gonio.samples.description import SampleDescription
 
 HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si" schemaVersion="3.3.0">

@@ -18,7 +18,7 @@ import pytest
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
 from gonio.formats import certificate, rgl, workbook, xml_text
-from gonio.rig.light_and_camera import read_maps
+from gonio.lab.rig.light_and_camera import read_maps
 
 TYPED = '<?xml version="1.0"{}?><!DOCTYPE a [<!ENTITY b "c">]><WindowElement>&b;</WindowElement>'
 SOON_S = 5.0

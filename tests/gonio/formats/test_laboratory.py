@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 from gonio import measurement
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.run import Run
 from gonio.config import parse
 from gonio.errors import ConfigError
-from gonio.reduction import brdf
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
+from gonio.lab.rig.description import RigDescription
 from tests.command_line import gonio
 from tests.gonio import numpy_rig
 from tests.gonio.formats.test_bird_json import validator

@@ -19,8 +19,7 @@ from gonio_analysis.result_records import Quantity
 
 from gonio import colour
 from gonio.models import CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Sum
-from gonio.rig.calibration_use import ParameterUncertainty
-from gonio.rig.description import SampleDescription
+from gonio.samples.description import ParameterUncertainty, SampleDescription
 from gonio.typing import Floats
 from tests.gonio_analysis.appearance.simulated import hemisphere, measured, named, noisy, plane
 from tests.gonio_analysis.synthetic import known

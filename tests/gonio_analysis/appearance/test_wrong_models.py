@@ -12,10 +12,10 @@ from gonio_analysis.fitting.fit import fit
 from gonio_analysis.result_records import Appearance
 
 import gonio
-from gonio.acquisition.measure import load_sample
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.models import ArrayModel
+from gonio.samples.files import load_sample
 from gonio.typing import Floats
 from tests.command_line import some
 

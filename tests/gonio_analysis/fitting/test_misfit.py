@@ -14,10 +14,11 @@ from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.search import refine
 from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.fitting.value_covariance import Covariance
-from gonio_analysis.result_records import MisfitSummary, as_json, finite
+from gonio_analysis.result_records import MisfitSummary, as_json
 
 from gonio.geometry import Directions
 from gonio.models import CookTorrance, Lambert
+from gonio.shown import finite
 from gonio.typing import Floats
 
 from ..synthetic import known, measure

@@ -15,9 +15,9 @@ from gonio_analysis.fitting.level import level
 from gonio_analysis.fitting.saving import save
 from gonio_analysis.report.appearance import of
 
-from gonio.acquisition.measure import load_sample
 from gonio.errors import ConfigError
 from gonio.models import CookTorrance, HeTorrance, Lambert, Model, Sum
+from gonio.samples.files import load_sample
 from tests.command_line import gonio
 from tests.gonio_analysis.appearance.simulated import measured, noisy, plane
 from tests.gonio_analysis.synthetic import known

@@ -4,12 +4,12 @@ import pytest
 from gonio_analysis.report import budget
 from gonio_analysis.report.blocks import Paragraph, Table, plain
 from gonio_analysis.report.text import cause, meaning
-from gonio_analysis.result_records import BudgetCurve, BudgetFacts, BudgetPart
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from gonio.reduction import angle_errors, table
-from gonio.reduction.table import COMPONENTS
+from gonio.lab.reduction import angle_errors, table
+from gonio.lab.reduction.table import COMPONENTS
+from gonio.run_facts import BudgetCurve, BudgetFacts, BudgetPart
 
 CAMERA = ("s_linearity", "s_linearity_2", "s_stray_light", "s_stray_light_2")
 COMMON = (

@@ -13,8 +13,9 @@ from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.compare import examine
 
 from gonio import measurement
-from gonio.acquisition.measure import RigChoice, carry_out, find_rig, load_sample
-from gonio.acquisition.plan import load_plan
+from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
+from gonio.lab.acquisition.plan import load_plan
+from gonio.samples.files import load_sample
 from tests.command_line import gonio, says, some
 from tests.gonio_analysis.synthetic import facts_of
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from gonio_analysis import report
-from gonio_analysis.commands import watching
 from gonio_analysis.report import appearance, change, html, laboratories, map_change, map_page
 from gonio_analysis.report.blocks import (
     Block,
@@ -42,6 +41,7 @@ from gonio_validation.papers.figure import Claim
 from gonio_validation.papers.pictures import catalogue
 from gonio_validation.papers.pictures import page as pictures
 from gonio_validation.verify.finding import Finding
+from gonio_watch import serving as watching
 
 from gonio import measurement
 from gonio.geometry import direction

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 from gonio_analysis.report import health
-from gonio_analysis.result_records import RunFacts
-from gonio_analysis.selection import run_record
-from gonio_analysis.selection.run_record import run_facts
 
-from gonio.acquisition.journal import Journal
-from gonio.acquisition.measure import carry_out, find_rig, load_sample
-from gonio.acquisition.plan import load_plan
-from gonio.acquisition.records import StepRecord
-from gonio.rig import Pose, Reading
+from gonio.lab import run_facts as record
+from gonio.lab.acquisition.journal import Journal
+from gonio.lab.acquisition.measure import carry_out, find_rig
+from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.records import StepRecord
+from gonio.lab.rig import Pose, Reading
+from gonio.lab.run_facts import run_facts
+from gonio.run_facts import RunFacts
+from gonio.samples.files import load_sample
 from tests.command_line import some
 
 STEPS = 10_000
@@ -78,7 +79,7 @@ def test_extremes_are_found_and_drawn_among_ten_thousand_steps(facts: RunFacts) 
     assert [sagged.lowest, sagged.lowest_h] == pytest.approx([10.1, HOURS * SAGGED / STEPS])
     for h in by.values():
         assert h.steps == STEPS
-        assert len(h.value) <= 2 * run_record.STRETCHES + 2
+        assert len(h.value) <= 2 * record.STRETCHES + 2
         assert [min(h.value), max(h.value)] == pytest.approx([h.lowest, h.highest], rel=1e-5)  # six digits are kept
         assert h.time_h == sorted(h.time_h)
     assert facts.pauses[0].waited_s == 360.0

@@ -27,9 +27,9 @@ from gonio_analysis.selection.choice import Choice, choose
 from gonio_analysis.selection.judging import Candidate
 
 from gonio import measurement
-from gonio.cli.console import Say
 from gonio.errors import DataError
 from gonio.models import Phong, build
+from gonio.progress import Say
 from tests.gonio_analysis.synthetic import joined, measure
 
 pytestmark = pytest.mark.slow

@@ -17,11 +17,11 @@ from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.report import figures
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.model_tables import fitted_words
-from gonio_analysis.result_records import RunFacts, SampleFacts
 from gonio_analysis.selection.compare import examine, jump, jumps
 
 from gonio.errors import ConfigError
 from gonio.models import build
+from gonio.run_facts import RunFacts, SampleFacts
 from tests.command_line import some
 from tests.gonio_analysis.synthetic import facts_of, joined, measure
 

@@ -18,11 +18,12 @@ from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.plots import diagnostics, in_plane, maps, pixels, style
 from gonio_analysis.report import budget, change_figures, checks, drawing, health, map_change, map_page
 from gonio_analysis.report.drawing import Drawing, Figure
-from gonio_analysis.result_records import BudgetCurve, BudgetFacts, BudgetPart, ChecksSummary, HealthSummary
+from gonio_analysis.result_records import ChecksSummary
 from gonio_analysis.selection.compare import examine
 
 from gonio.formats.reader import MUELLER, U_MUELLER, table
 from gonio.models import build
+from gonio.run_facts import BudgetCurve, BudgetFacts, BudgetPart, HealthSummary
 from gonio.typing import Floats
 from tests.gonio_analysis.map_files import fits
 from tests.gonio_analysis.synthetic import facts_of, joined, measure

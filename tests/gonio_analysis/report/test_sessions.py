@@ -7,13 +7,14 @@ from typing import Any
 
 import pytest
 from gonio_analysis.report import health, make
-from gonio_analysis.result_records import RunFacts
-from gonio_analysis.selection.run_record import run_facts
 
-from gonio.acquisition.run import Run
 from gonio.errors import DeviceError, Interrupted
-from gonio.reduction import brdf
-from gonio.rig.description import RigDescription, SampleDescription
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.run_facts import run_facts
+from gonio.run_facts import RunFacts
+from gonio.samples.description import SampleDescription
 from tests.command_line import says, some
 from tests.gonio.numpy_rig import NumpyRig, Plugin, StopAfter, measured, plan_in
 
@@ -42,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
 
         def session(day: str, plugin: Plugin, stop: StopAfter | None = None, *, resume: bool = True) -> Run:
-            patch.setattr("gonio.acquisition.journal.now", lambda: day)
+            patch.setattr("gonio.lab.acquisition.journal.now", lambda: day)
             more: dict[str, Any] = {} if stop is None else {"progress": stop}
             return measured(plan, out, plugin, resume=resume, **more)
 

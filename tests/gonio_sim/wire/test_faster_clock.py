@@ -11,11 +11,11 @@ from gonio_drivers import folder_camera
 from gonio_drivers.lab import LAB
 from gonio_sim.wire.twins import Twins, WireWorld, rig_file
 
-from gonio.acquisition.measure import find_rig
-from gonio.by_hand.manual_rig import ManualRig
-from gonio.calibration import lamp_scan, lamp_stability
-from gonio.rig.calibration_files import Calibration, identity, write_calibration
-from gonio.rig.calibration_use import ParameterUncertainty
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.by_hand.manual_rig import ManualRig
+from gonio.lab.calibration import lamp_scan, lamp_stability
+from gonio.lab.rig.calibration_files import Calibration, identity, write_calibration
+from gonio.samples.description import ParameterUncertainty
 from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, be_patient, small
 from tests.gonio_sim.wire.conftest import HandClock
 

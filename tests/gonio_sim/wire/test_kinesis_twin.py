@@ -8,7 +8,7 @@ import pytest
 from gonio_sim.wire import twins
 from gonio_sim.wire.kinesis import KinesisTwin
 
-from gonio.rig.description import Axis
+from gonio.lab.rig.description import Axis
 from tests.gonio_sim.wire.conftest import HandClock
 
 PER_DEG, SPEED_PER_DEG, ACCELERATION_PER_DEG = 136_533, 7_329_109, 1_502

@@ -2,7 +2,7 @@
 
 from gonio_sim.wire.lamps import LAMPS
 
-from gonio.rig.light_and_camera import Band
+from gonio.lab.rig.light_and_camera import Band
 
 BANDS = (Band(name="green", centre_nm=550, fwhm_nm=20),)
 

@@ -8,10 +8,10 @@ import pytest
 from gonio_sim.wire.serve import _require_measurable, _require_twins
 from gonio_sim.wire.twins import Twins, rig_file
 
-from gonio.acquisition.measure import find_rig
 from gonio.config import to_toml
 from gonio.errors import ConfigError
-from gonio.rig.description import RigDescription
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.rig.description import RigDescription
 from tests.command_line import gonio, says
 
 LAB = find_rig("lab").description

@@ -22,12 +22,12 @@ from gonio_validation.commands import bench as app
 from scipy.special import ndtri
 from typer.testing import CliRunner
 
-from gonio.acquisition.measure import find_rig
 from gonio.config import numbers_in, to_toml
 from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions
-from gonio.reduction import brdf
-from gonio.rig.calibration_files import covariance_of
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.reduction import brdf
+from gonio.lab.rig.calibration_files import covariance_of
 
 POINTS = 12
 REACH = float(ndtri(0.975))

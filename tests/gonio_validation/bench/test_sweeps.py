@@ -12,12 +12,12 @@ from gonio_analysis.report.drawing import Drawing
 from gonio_validation.bench import sweeps, sweeps_page, sweeps_rig
 from gonio_validation.bench.sweeps_rig import FrameFreeRig
 
-from gonio.acquisition.measure import carry_out, find_rig
-from gonio.acquisition.plan import Plan, assess, canonical
 from gonio.errors import ConfigError, Incomplete
 from gonio.geometry import Directions
-from gonio.reduction import brdf
-from gonio.rig.description import SampleDescription
+from gonio.lab.acquisition.measure import carry_out, find_rig
+from gonio.lab.acquisition.plan import Plan, assess, canonical
+from gonio.lab.reduction import brdf
+from gonio.samples.description import SampleDescription
 
 SIM = find_rig("sim").description
 

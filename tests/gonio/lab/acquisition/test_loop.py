@@ -1,0 +1,537 @@
+"""The loop on a rig of numpy: what a run holds, and that stopping it anywhere changes nothing."""
+
+import hashlib
+import math
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gonio.config import to_toml
+from gonio.disk import Staged
+from gonio.errors import ConfigError, DataError, DeviceError, GonioError, Interrupted
+from gonio.lab.acquisition.measure import RigChoice, carry_out, check
+from gonio.lab.acquisition.plan import Plan
+from gonio.lab.acquisition.progress import Live, Silent
+from gonio.lab.acquisition.records import StepRecord
+from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
+from gonio.lab.rig import Frame, Pose, Step
+from gonio.lab.rig.description import Body, Geometry, Holder, Reference, RigDescription
+from gonio.lab.rig.dng import read_raw
+from tests.command_line import some
+from tests.gonio.lab.acquisition.conftest import Measure
+from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
+
+
+def test_a_run_holds_what_was_asked_and_what_happened(measure: Measure) -> None:
+    rig = Plugin()
+    run = measure("run", rig=rig)
+    assert (run.seed, run.sample, run.description) == (1, SAMPLE, describe())
+    assert [band.centre_nm for band in run.bands] == [550, 650]
+    assert list(run.plan["flag"]) == ["", "blocked", "", "", "", ""]
+    assert "around retro" in run.plan["reason"][1]
+    assert [event["event"] for event in run.events()] == ["session", *["step"] * 9, "end"]
+    assert [step.kind for step in run.steps()] == [
+        *["dark", "reference", "point", "point", "point", "reference", "point", "point", "reference"]
+    ]
+    assert rig.opened[0].log[-2:] == ["off", "park"]
+    assert not rig.opened[0].lit
+
+
+def test_frames_are_those_that_the_journal_names(run: Run) -> None:
+    named = [frame for step in run.steps() for frame in step.frames]
+    assert {path.name for path in (run.path / "frames").iterdir()} == {frame.file for frame in named}
+    for frame in named:
+        assert hashlib.sha256(run.frame_path(frame.file).read_bytes()).hexdigest() == frame.sha256
+    point = run.steps()[2]
+    assert [f.file for f in point.frames] == [
+        *[f"000002-green550-{k:02d}.dng" for k in (1, 2, 3)],
+        *[f"000002-red650-{k:02d}.dng" for k in (1, 2, 3)],
+    ]
+    assert [f.band for f in point.frames] == ["green, 550"] * 3 + ["red 650"] * 3
+    first, _, short = point.frames[:3]
+    assert short.exposure_s == pytest.approx(first.exposure_s / 4, abs=1e-6)  # whole microseconds
+    raw = read_raw(run.frame_path(first.file))
+    assert raw.exposure_s == first.exposure_s
+    level = (float(np.max(raw.mosaic)) - 64) / (11_000 / 3)
+    assert level == pytest.approx(0.6, abs=0.05)  # photon noise of the brightest pixel in the metering frame
+
+
+def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(measure: Measure) -> None:
+    for step in measure("run").steps():
+        assert {frame.lamp for frame in step.frames} == {step.kind != "dark"}
+    dark = measure("again").steps()[0]
+    assert len({frame.exposure_s for frame in dark.frames}) == 2
+    assert len(dark.frames) == 4
+
+
+def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(measure: Measure) -> None:
+    dark, *others = measure("run").steps()
+    assert some(dark.pose_time_s) >= dark.frames[-1].time_s
+    for step in others:
+        assert step.pose == step.pose_after == step.goal  # this rig has no errors
+        times = [frame.time_s for frame in step.frames]
+        assert some(step.pose_time_s) <= times[0] < times[-1] <= some(step.pose_after_time_s)
+
+
+def test_a_step_during_which_an_arm_was_pushed_is_taken_again(measure: Measure, whole: list[StepRecord]) -> None:
+    run = measure("run", rig=Plugin(options={"pushes": {3: 1}}))
+    assert list(run.steps()) == whole
+    (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
+    assert remark == "step 3: axis camera has moved by 0.30 deg during the exposures; it is taken again"
+
+
+def test_a_step_during_which_an_arm_never_stands_still_is_flagged(measure: Measure) -> None:
+    run = measure("run", rig=Plugin(options={"pushes": {1: 9, 3: 9}}))  # a visit to the reference, and a point
+    assert {step.step: step.flag for step in run.steps()} == dict.fromkeys(range(9), "") | {1: "moved", 3: "moved"}
+    assert [event["message"].rpartition("; ")[2] for event in run.events() if event["event"] == "remark"] == [
+        *["it is taken again", "it is taken again", 'it is flagged "moved"'] * 2
+    ]
+    flagged = run.steps()[3]
+    assert flagged.frames == ()
+    assert flagged.pose.camera - flagged.goal.camera == pytest.approx(
+        math.radians(0.3), abs=1e-15
+    )  # a sum and back: roundings
+    table = brdf.reduce(run)
+    assert list(table["flag"])[:4] == ["", "", "blocked", "blocked"]
+    assert set(table["flag"][table["flag"] != "blocked"]) == {"", "moved"}
+    assert (table["flag"] == "moved").sum() == 2  # in both bands
+
+
+def test_a_pose_whose_readings_scatter_is_recorded_and_flagged(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    visits: list[str] = []
+
+    def spread(arms: object) -> Pose:
+        visits.append("")
+        return Pose(camera=math.radians(0.44 if len(visits) in (1, 3) else 0.005))  # a visit to the reference; a point
+
+    monkeypatch.setattr(NumpyRig, "spread", property(spread), raising=False)
+    run = measure("run")
+    assert [step.flag for step in run.steps()] == ["", "", "", "unsteady", *[""] * 5]
+    taken = run.steps()[3]
+    assert taken.pose_spread == Pose(camera=math.radians(0.44))
+    assert len(taken.frames) == 6
+    (remark,) = (event["message"] for event in run.events() if event["event"] == "remark")
+    assert remark == 'step 3: the readings of axis camera at rest lie 0.44 deg apart; it is flagged "unsteady"'
+    table = brdf.reduce(run)
+    assert set(table["flag"]) == {"", "blocked", "unsteady"}
+    assert table["brdf"][table["flag"] == "unsteady"].isna().all()
+
+
+def test_one_seed_gives_one_run(measure: Measure) -> None:
+    first, again, other = measure("a"), measure("b"), measure("c", seed=2)
+    assert list(first.steps()) == list(again.steps())
+    assert list(first.steps()) != list(other.steps())
+
+
+def metering_frames(step: StepRecord) -> int:
+    """How many frames a step took before those that it kept: on this rig a frame's time counts the step's frames."""
+    return round(step.frames[-1].time_s) - 100 * int(step.step) + 1 - len(step.frames)
+
+
+def test_a_point_is_metered_with_what_the_point_before_it_needed(measure: Measure) -> None:
+    """Fifty times darker than white, a sample costs a search at its first point and one frame a band from then on."""
+    points = [step for step in measure("run", rig=Plugin(options={"albedo": 0.02})).steps() if step.kind == "point"]
+    taken = [metering_frames(step) for step in points]
+    assert taken[0] > 2
+    assert taken[1:] == [2] * (len(points) - 1)
+
+
+def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
+    """The point before it is: with step 3 flagged, step 4 is metered by step 2."""
+    steps = measure("run", rig=Plugin(options={"albedo": 0.02, "pushes": {3: 9}})).steps()
+    assert steps[3].frames == ()
+    assert metering_frames(steps[4]) == 2
+
+
+@pytest.mark.parametrize("stops", [[1], [2], [5], [7], [1, 1, 2]])
+def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[int], whole: list[StepRecord]) -> None:
+    for number, after in enumerate(stops):
+        rig = Plugin()
+        with pytest.raises(Interrupted, match="--resume"):
+            measure("cut", rig=rig, resume=bool(number), progress=StopAfter(after))
+        assert rig.opened[0].log[-2:] == ["off", "park"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    run = measure("cut", resume=True)
+    assert list(run.steps()) == whole
+    assert [e["event"] for e in run.events()].count("interrupted") == len(stops)
+
+
+def test_a_second_signal_stops_every_axis_at_once(measure: Measure, whole: list[StepRecord]) -> None:
+    class Impatient(Silent):
+        def step(self, live: Live) -> None:
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
+
+    rig = Plugin()
+    with pytest.raises(Interrupted, match="at once"):
+        measure("run", rig=rig, progress=Impatient())
+    assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
+    assert list(measure("run", resume=True).steps()) == whole
+
+
+def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measure, tmp_path: Path) -> None:
+    whole = measure("whole")
+    expected, data = list(whole.steps()), (whole.path / "journal.jsonl").read_bytes()
+    ends = [at + 1 for at, byte in enumerate(data) if byte == ord("\n")]
+    cuts = sorted({0, 1, *(end + d for end in ends for d in (-1, 0, 1)), *range(0, len(data), 1999)})
+    for cut in cuts:
+        (tmp_path / "whole" / "journal.jsonl").write_bytes(data[:cut])
+        if cut < ends[0]:  # frames, and no journal
+            with pytest.raises(DataError, match="gonio run repair"):
+                measure("whole", resume=True)
+            continue
+        assert list(measure("whole", resume=True).steps()) == expected
+    assert len(cuts) > 20
+
+
+def test_frames_of_a_step_that_was_cut_short_do_not_stay(run: Run, measure: Measure) -> None:
+    journal = run.path / "journal.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:4]))
+    with pytest.raises(Interrupted):
+        measure("run", resume=True, progress=StopAfter(1))
+    named = {frame.file for step in Run.open(run.path).steps() for frame in step.frames}
+    assert {path.name for path in (run.path / "frames").iterdir()} == named
+
+
+def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Measure, whole: list[StepRecord]) -> None:
+    rig = Plugin(options={"fails_at": 4})
+    with pytest.raises(DeviceError, match="no frame came"):
+        measure("run", rig=rig)
+    assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
+    run = measure("run", resume=True)
+    events = [event["event"] for event in run.events()]
+    assert events[:6] == ["session", "step", "step", "step", "step", "device_error"]
+    assert list(run.steps()) == whole
+
+
+def test_a_swap_by_hand_needs_a_terminal_or_yes(measure: Measure, tmp_path: Path) -> None:
+    laboratory = Plugin(options={"repeatable": False})
+    with pytest.raises(ConfigError, match=r"swapped by hand .*--yes"):
+        measure("run", rig=laboratory)  # the tests have no terminal
+    assert not (tmp_path / "run").exists()
+    measure("run", rig=laboratory, yes=True)
+
+
+def test_a_laboratory_takes_fresh_darks_and_references(measure: Measure) -> None:
+    with pytest.raises(Interrupted):
+        measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
+    run = measure("run", rig=Plugin(options={"repeatable": False}), yes=True, resume=True)
+    taken = [(e["step"], e["kind"]) for e in run.events() if e["event"] == "step"]
+    assert taken[5:8] == [(9, "dark"), (10, "reference"), (5, "reference")]
+    assert (len(taken), len(set(taken))) == (11, 11)
+
+
+def test_a_computer_s_clock_that_jumps_changes_nothing(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]
+) -> None:
+    years = iter(range(2100, 1900, -1))
+    monkeypatch.setattr("gonio.lab.acquisition.journal.now", lambda: f"{next(years)}-01-01T00:00:00.000Z")
+    with pytest.raises(Interrupted):
+        measure("run", progress=StopAfter(4))
+    run = measure("run", resume=True)
+    assert list(run.steps()) == whole
+    walls = [event["wall"] for event in run.events()]
+    assert walls == sorted(walls, reverse=True)
+    assert set(brdf.reduce(run)["flag"]) == {"", "blocked"}
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (lambda now: 0.0, r"time_s = 0\.0, and the one before it had 0\.0 s"),
+        (lambda now: 7.5, r"time_s = 7\.5, and the one before it had 7\.5 s"),
+        (lambda now: 5000.0 - now, r"time_s = 4999\.0, and the one before it had 5000\.0 s"),
+        (lambda now: now % 400.0, r"time_s = 0\.0, and the one before it had 30\d\.0 s"),  # set back in the middle
+        (lambda now: math.nan, r"time_s = nan: seconds of at least 0"),
+        (lambda now: math.inf, r"time_s = inf: seconds of at least 0"),
+        (lambda now: None, r"time_s = None: seconds of at least 0"),
+        (lambda now: -1.0, r"time_s = -1\.0: seconds of at least 0"),
+    ],
+    ids=["never", "always the same", "backwards", "set back", "nan", "infinite", "none", "negative"],
+)
+@pytest.mark.parametrize("repeatable", [True, False])
+def test_frames_whose_times_do_not_grow_end_the_run(
+    measure: Measure, stamps: Callable[[float], float], words: str, repeatable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(NumpyRig, "time_s", lambda self: 100.0 * self.step + self.frame)
+    rig = Plugin(options={"stamps": stamps, "repeatable": repeatable})
+    with pytest.raises(DeviceError, match=f'the camera of the rig "bench of numpy" .*{words}') as caught:
+        measure("run", rig=rig, yes=True)
+    assert "In the rig's driver, give each Frame the rig's time_s()" in str(caught.value)
+    assert caught.value.exit_code == 3
+    assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
+
+
+def test_a_frame_without_a_time_cannot_be_made() -> None:
+    with pytest.raises(TypeError, match="time_s"):
+        Frame(np.zeros((32, 32), np.uint16), 1.0, 64.0, 4095.0)  # type: ignore[call-arg]
+
+
+def test_a_clock_that_was_set_back_between_two_sessions(measure: Measure) -> None:
+    """Times of the second session lie before those of the first; set right, the run goes on."""
+    with pytest.raises(Interrupted):
+        measure("run", rig=Plugin(options={"repeatable": False}), yes=True, progress=StopAfter(4))
+    again: dict[str, object] = {"yes": True, "resume": True}
+    for stamps in (lambda now: now - 1.9e9, lambda now: now - 3600.0):
+        late = Plugin(options={"repeatable": False, "stamps": stamps})
+        with pytest.raises(DeviceError, match=r"this run holds a frame of 19\d+\.0 s: .*computer's clock"):
+            measure("run", rig=late, **again)
+    run = measure("run", rig=Plugin(options={"repeatable": False}), **again)
+    assert len([step for step in run.steps() if step.kind == "point"]) == 5
+    assert np.all(np.diff([f["time_s"] for e in run.events() if e["event"] == "step" for f in e["frames"]]) > 0)
+
+
+def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:
+    before = (measure("run").path / "journal.jsonl").read_bytes()
+    with pytest.raises(ConfigError, match="--resume"):
+        measure("run")
+    assert (measure("run", resume=True).path / "journal.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize("journal", [None, b"", b'{"n":0,"event":"ses'])
+@pytest.mark.parametrize("resume", [True, False])
+def test_without_a_whole_line_it_starts_anew(
+    measure: Measure, journal: bytes | None, resume: bool, whole: list[StepRecord]
+) -> None:
+    out = measure("run").path  # and its process died before it took a frame
+    for frame in (out / "frames").iterdir():
+        frame.unlink()
+    (out / "journal.jsonl").unlink()
+    if journal is not None:
+        (out / "journal.jsonl").write_bytes(journal)
+    assert list(measure("run", resume=resume).steps()) == whole
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"seed": 2}, "seed: 1 in the run, 2 now"),
+        ({"sample": SAMPLE.model_copy(update={"parameters": {"albedo": 0.6}})}, r"sample\.parameters\.albedo: 0\.5"),
+        ({"description": describe(reference=Reference(every=4, frames=2))}, r"rig\.reference\.every: 3 in the run, 4"),
+        ({"plan": "other"}, "plan: "),
+    ],
+    ids=["seed", "sample", "rig", "plan"],
+)
+def test_what_differs_is_named(
+    measure: Measure, plan: Plan, changes: dict[str, object], word: str, tmp_path: Path
+) -> None:
+    measure("run")
+    if "plan" in changes:
+        changes = {"plan": replace(plan, points=plan.points[:-1])}
+    before = (tmp_path / "run" / "journal.jsonl").read_bytes()
+    with pytest.raises(ConfigError, match=word):
+        measure("run", resume=True, **changes)
+    assert (tmp_path / "run" / "journal.jsonl").read_bytes() == before
+
+
+def test_nothing_is_left_of_a_run_that_cannot_be_made(
+    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gonio.lab.acquisition.run.sync_folder", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        measure("deep/er/run")
+    assert not (tmp_path / "deep").exists()
+
+
+@pytest.mark.parametrize("name", ["plan.csv", "run.toml"])
+def test_a_process_that_died_while_it_made_the_folder_is_no_obstacle(
+    measure: Measure, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / "run" / "frames").mkdir(parents=True)
+    (tmp_path / "run" / "journal.jsonl").touch()
+    (tmp_path / "run" / f".{name}.4711.new").write_text("half")
+    run = measure()
+    assert not (run.path / f".{name}.4711.new").exists()
+    assert len(run.steps()) == len(measure("other").steps())
+
+
+def test_a_folder_of_other_things_is_left_alone(measure: Measure, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "holiday.jpg").write_bytes(b"x")
+    with pytest.raises(ConfigError, match=r"holiday\.jpg"):
+        measure("photos")
+    assert [p.name for p in (tmp_path / "photos").iterdir()] == ["holiday.jpg"]
+    (tmp_path / "file").write_text("x")
+    for out in ("file", "file/run"):
+        with pytest.raises(ConfigError, match="not a folder"):
+            measure(out)
+
+
+def test_no_device_is_opened_before_everything_is_checked(plan: Plan, tmp_path: Path) -> None:
+    rig = Plugin()
+    choice = RigChoice(rig, describe(), "numpy")
+    options = {"seed": 0, "resume": False, "yes": False}
+    with pytest.raises(ConfigError, match="--sample"):
+        check(plan, choice, tmp_path / "run", sample=None, **options)  # type: ignore[arg-type]
+    check(plan, choice, tmp_path / "run", sample=SAMPLE, **options)  # type: ignore[arg-type]
+    assert all(not opened.inside and not opened.log for opened in rig.opened)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [  # the frame of this bench is 23 mm wide and 17 mm high
+        ({"reference": {"how": "beside", "offset_mm": [0.0, 14.0]}}, r"\[reference\] offset_mm = \[0, 14\].*rows"),
+        ({"reference": {"how": "beside", "offset_mm": [30.0, 0.0]}}, r"\[reference\] offset_mm = \[30, 0\].*nearer"),
+        # its centre is in the frame, and its patch is cut
+        ({"reference": {"how": "beside", "offset_mm": [0.0, -8.0]}, "holder": {"sample_diameter_mm": 8.0}},
+         r"\[reference\] offset_mm = \[0, -8\].*focal_length_mm"),
+        ({"acquisition": {"roi_radius_mm": 9.0}}, r"\[acquisition\] roi_radius_mm = 9 .*smaller patch"),
+    ],
+    ids=["above", "beside", "cut", "patch"],
+)  # fmt: skip
+def test_what_the_frame_does_not_hold_is_refused_before_anything_is_opened(
+    plan: Plan, tmp_path: Path, changes: dict[str, dict[str, object]], words: str
+) -> None:
+    tables = describe().model_dump(exclude_none=True)
+    for name, keys in changes.items():
+        tables[name] |= keys
+    rig = Plugin()
+    choice = RigChoice(rig, RigDescription.model_validate(tables), "my.toml")
+    options = {"sample": SAMPLE, "seed": 0, "resume": False, "yes": True}
+    with pytest.raises(ConfigError, match=f"my.toml: {words}"):
+        check(plan, choice, tmp_path / "run", **options)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=f"my.toml: {words}"):
+        carry_out(plan, choice, tmp_path / "run", **options)  # type: ignore[arg-type]
+    assert rig.opened == []
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan) -> None:
+    """14 mm beside the centre, along the arms' plane, fits into 23 mm only foreshortened: at 60 degrees, not at 0."""
+    for theta_r_deg, good in ((60.0, True), (0.0, False)):
+        reference = Reference(
+            how="beside", offset_mm=(14.0, 0.0), theta_r_deg=theta_r_deg, theta_i_deg=20.0, every=3, frames=2
+        )
+        choice = RigChoice(Plugin(), describe(reference=reference, holder=Holder(axes=("tilt", "spin"))), "my.toml")
+        if good:
+            assert choice.schedule(plan)[1].kind == "reference"
+        else:
+            with pytest.raises(ConfigError, match="theta_r = 0 deg"):
+                choice.schedule(plan)
+
+
+def test_a_full_disk_ends_the_run_and_it_can_go_on(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]
+) -> None:
+    from gonio.lab.acquisition import frame_writer
+
+    write, count = Staged, 0
+
+    def fills_up(path: Path, data: bytes) -> Staged:
+        nonlocal count
+        count += 1
+        if count > 12:
+            raise OSError(28, "No space left on device")
+        return write(path, data)
+
+    monkeypatch.setattr(frame_writer, "Staged", fills_up)
+    with pytest.raises(DataError, match="No space left"):
+        measure("run")
+    monkeypatch.undo()
+    assert list(measure("run", resume=True).steps()) == whole
+
+
+def test_a_camera_s_own_file_is_kept_as_it_is(
+    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "IMG_0001.CR2"
+    own.write_bytes(b"the camera's own bytes")
+    capture = NumpyRig.capture
+    monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
+    run = measure("run")
+    assert run.steps()[0].frames[0].file == "000000-dark-01.cr2"
+    assert run.frame_path("000000-dark-01.cr2").read_bytes() == own.read_bytes()
+    assert own.exists()
+
+
+def test_the_reference_s_table_travels_with_the_run(measure: Measure, tmp_path: Path) -> None:
+    table = tmp_path / "spectralon.csv"
+    table.write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n")
+    rig = describe(reference=Reference(every=3, frames=2, table=str(table)))
+    with pytest.raises(Interrupted):
+        measure("run", description=rig, progress=StopAfter(3))
+    run = measure("run", description=rig, resume=True)
+    table.unlink()
+    stored = Run.open(run.path).description.reference.table
+    assert stored == str(run.path / "reference.csv")
+    assert Path(stored).exists()
+    with pytest.raises(ConfigError, match=r"spectralon\.csv"):
+        measure("other", description=rig)
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "kind"),
+    [
+        ("run.toml", b"", DataError),
+        ("run.toml", b"[run]\n", DataError),
+        ("run.toml", b"\xff\xfe", DataError),
+        ("run.toml", None, ConfigError),
+        ("plan.csv", b"a,b\n1,2\n", DataError),
+        ("plan.csv", None, DataError),
+    ],
+)
+def test_a_damaged_run_is_said_to_be(measure: Measure, name: str, damage: bytes | None, kind: type[GonioError]) -> None:
+    path = measure("run").path
+    if damage is None:
+        (path / name).unlink()
+    else:
+        (path / name).write_bytes(damage)
+    with pytest.raises(kind, match=name):
+        _ = Run.open(path).plan
+
+
+def test_toml_comes_back() -> None:
+    import tomllib
+
+    values = {
+        "a": 1,
+        "b": {
+            "x.y": 'quo"te\n\x7f\\',
+            "list": [1.5, True, "ü"],
+            "deep": {"tables": [{"k": [1, 2]}, {"k": []}], "e": 1e-300},
+        },
+        "empty": {},
+    }
+    assert tomllib.loads(to_toml(values)) == values
+
+
+def test_arms_that_stand_where_no_way_leads_out_are_said_before_anything_moves(
+    measure: Measure, tmp_path: Path
+) -> None:
+    """Planning knows the ways between the points; where somebody left the arms it does not know."""
+    fence = Body(name="fence", on="bench", centre_mm=(520, 0, 300), size_mm=(60, 300, 60))
+    far = Geometry(light_distance_mm=600.0, camera_distance_mm=430.0)
+    rig = Plugin(options={"pose": Pose(light=math.radians(80.0), camera=math.radians(20.0))})
+    with pytest.raises(ConfigError, match=r"where the axes stand now .* touch: source head and fence"):
+        measure("run", rig=rig, description=describe(bodies=(fence,), geometry=far))
+    assert "move" not in rig.opened[0].log
+    assert not (tmp_path / "run").exists()
+
+
+def test_nobody_is_asked_for_the_reference_once_a_stop_was_asked_for(
+    measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = NumpyRig.begin
+
+    def begin_and_stop(rig: NumpyRig, step: Step) -> None:
+        begin(rig, step)
+        if step.kind == "reference":
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(NumpyRig, "begin", begin_and_stop)
+    rig = Plugin(options={"repeatable": False})
+    with pytest.raises(Interrupted, match="after 1 of"):
+        measure("run", rig=rig, sample=None, yes=True)
+    assert "present reference" not in rig.opened[0].log
