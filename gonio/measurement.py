@@ -71,7 +71,6 @@ def read(
     format: str | None = None,
     sample: str | None = None,
     columns: Mapping[str, str] | None = None,
-    blank: Path | None = None,
 ) -> DataFrame:
     """The measurement table in a file of any supported format, or in a RUN folder (its `brdf.csv`).
 
@@ -87,8 +86,6 @@ def read(
         The file's own names and units of the columns of a CSV or a workbook made by hand:
         `{"theta_i": "ti:rad", "brdf": "R:factor"}` (`gonio.formats.own_columns`). Without it those in
         `<name>.columns.toml` beside the file, if it is there.
-    blank
-        The blank measurement that is subtracted from an RT-300S workbook.
 
     Raises
     ------
@@ -107,7 +104,7 @@ def read(
         if _size(file) > LARGEST:
             raise DataError(f"{path}: is larger than {LARGEST >> 20} MiB, the largest file that is read")
         with _in_memory(path, _size(file)):
-            frame = _parsed(file, path, format, columns, blank)
+            frame = _parsed(file, path, format, columns)
     return frame if sample is None else _choose(frame, sample, path)
 
 
@@ -117,11 +114,10 @@ def parse(
     *,
     format: str | None = None,
     columns: Mapping[str, str] | None = None,
-    blank: Path | None = None,
 ) -> DataFrame:
     """The table in the bytes of a file, as `read` gives it, with the same errors; `path` names the file in messages."""
     with _in_memory(path, len(data)):
-        return _parsed(io.BytesIO(data), path, format, columns, blank)
+        return _parsed(io.BytesIO(data), path, format, columns)
 
 
 @contextmanager
@@ -137,11 +133,10 @@ def _in_memory(path: Path, size: int) -> Iterator[None]:
         ) from None
 
 
-def _parsed(
-    file: BinaryIO, path: Path, format: str | None, columns: Mapping[str, str] | None, blank: Path | None
-) -> DataFrame:
+def _parsed(file: BinaryIO, path: Path, format: str | None, columns: Mapping[str, str] | None) -> DataFrame:
     where, stored = "columns", columns
-    if columns is None and (stored := own_columns.beside(path)) is not None:
+    blank = own_columns.blank_beside(path)
+    if columns is None and blank is None and (stored := own_columns.beside(path)) is not None:
         where = str(own_columns.beside_path(path))
     notes: list[str] = []
     stated: Floats | None = None
@@ -156,7 +151,10 @@ def _parsed(
         )
     chosen = formats.named(format) if format else formats.of_content(file.read(formats.SNIFFED_BYTES), path)
     if blank is not None and chosen is not rt300s.FORMAT:
-        raise ConfigError(f"{path}: its format is {chosen.title}; --blank is subtracted from RT-300S workbooks alone")
+        raise ConfigError(
+            f"{own_columns.beside_path(path)}: a blank is subtracted from RT-300S workbooks alone, and {path} is "
+            f"{chosen.title}"
+        )
     if _size(file) > chosen.max_bytes:
         raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")
     content: Any = file if chosen.in_pieces else file.read()
@@ -346,8 +344,6 @@ class Reading:
 
     columns: Mapping[str, str] | None = None
     """Their own names and units of columns, as for `read`."""
-    blank: Path | None = None
-    """The blank of RT-300S workbooks."""
 
 
 def tables(spec: str | Path, how: Reading | None = None) -> dict[str, DataFrame]:
@@ -360,7 +356,7 @@ def tables(spec: str | Path, how: Reading | None = None) -> dict[str, DataFrame]
     """
     path, sample = split(spec)
     how = Reading() if how is None or Path(path).is_dir() else how
-    frame = read(path, sample=sample, columns=how.columns, blank=how.blank)
+    frame = read(path, sample=sample, columns=how.columns)
     found = samples(frame) if sample is None else {sample: frame}
     return {name: unpolarised(table) for name, table in found.items()}
 

@@ -9,7 +9,7 @@ themselves. The photograph is rendered with the errors and reduced without them.
 goniometer with all errors of "sim". Both tables go into one fit. Printed are the pulls (fitted - true) / u of all
 parameters, how many 95 % intervals cover the truth, and the same for each table alone.
 
-With `--alone` no sweep is measured. Height fields and meshes are bumpy, drawn at random too.
+With `--alone` no sweep is measured. Height fields are bumpy, drawn at random too.
 
 A folder that holds a measured case already is not measured again: only the reduction and the fits are made anew.
 """
@@ -44,8 +44,7 @@ from gonio.typing import Floats, TomlTable
 KINDS = ("he-torrance", "oren-nayar", "cook-torrance")
 METALS = (0.96 + 6.69j, 0.26 + 2.55j, 0.42 + 2.35j, 2.9 + 3.05j, 1.5 + 0j)  # about Al, Cu, Au, Fe, and glass
 SHAPES = (
-    "sphere", "cylinder", "revolution", "revolution-smooth", "heightfield-facet", "heightfield-smooth", "mesh-facet",
-    "mesh-smooth",
+    "sphere", "cylinder", "revolution", "revolution-smooth", "heightfield-facet", "heightfield-smooth",
 )  # fmt: skip
 LEVEL = 1.96
 WAVELENGTH_NM = 550.0
@@ -120,28 +119,13 @@ def shaped(shape: str, rng: np.random.Generator, radius: float, out: Path) -> To
         r = radius * np.sqrt(1.0 - z**2)
         profile = [[float(a), float(b)] for a, b in zip(r, radius * z, strict=True)]
         return table | {"axis": [0.2, 1.0, 0.3], "profile_mm": profile, "caps": True, "smooth": normals == "smooth"}
-    if kind == "heightfield":
-        x = np.linspace(-1.0, 1.0, int(rng.integers(9, 40)))
-        place = np.stack(np.meshgrid(x, x), axis=-1)
-        heights = np.cos(place @ waves[:, :2].T + phases).sum(axis=-1)
-        slope = float(np.hypot(*np.gradient(heights, x, x)).max())
-        np.save(out / "heights.npy", heights * math.tan(math.radians(float(rng.uniform(20.0, 50.0)))) / slope)
-        size = {"size_mm": [1.8 * radius, 1.8 * radius], "height_mm": 0.9 * radius}
-        return table | size | {"file": "heights.npy", "normals": normals}
-    from scipy.spatial import ConvexHull
-
-    count = int(rng.integers(60, 1500))
-    turn = math.pi * (1.0 + math.sqrt(5.0)) * np.arange(count)
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    points = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
-    faces = ConvexHull(points).simplices
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    points *= radius * (1.0 + 0.01 * np.cos(points @ waves.T + phases).sum(axis=1))[:, None]
-    lines = [f"v {x} {y} {z}" for x, y, z in points] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
-    (out / "mesh.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return table | {"file": "mesh.obj", "normals": normals}
+    x = np.linspace(-1.0, 1.0, int(rng.integers(9, 40)))
+    place = np.stack(np.meshgrid(x, x), axis=-1)
+    heights = np.cos(place @ waves[:, :2].T + phases).sum(axis=-1)
+    slope = float(np.hypot(*np.gradient(heights, x, x)).max())
+    np.save(out / "heights.npy", heights * math.tan(math.radians(float(rng.uniform(20.0, 50.0)))) / slope)
+    size = {"size_mm": [1.8 * radius, 1.8 * radius], "height_mm": 0.9 * radius}
+    return table | size | {"file": "heights.npy", "normals": normals}
 
 
 def _light(kind: str, toward: Floats, far: float, even: Callable[[float, float], float]) -> TomlTable:

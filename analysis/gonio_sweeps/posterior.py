@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from gonio.errors import DataError
 from gonio.geometry import Directions, direction
 from gonio.models.gaussian_process import (
     ENOUGH,
@@ -21,7 +20,7 @@ from gonio.models.gaussian_process import (
     shares,
     total,
 )
-from gonio.typing import DataFrame, Floats
+from gonio.typing import Floats
 from gonio_sweeps.lobe import Spike, begun, suspected, within
 
 NEGLIGIBLE = 2e-6
@@ -119,28 +118,6 @@ class Posterior:
     before: Before | None = None
     cones: tuple[float, float] | None = None
     """Half angles of lamp and lens [rad]: what shape a specular spike has; None where they are not known."""
-
-    @classmethod
-    def of(cls, table: DataFrame, cones: tuple[float, float] | None = None) -> Posterior:
-        """From the rows of a measurement table that are to be used, all of one band.
-
-        `cones` are the half angles of lamp and lens [rad], where they are known.
-
-        Raises
-        ------
-        DataError
-            There are fewer than three such rows, or the table states no uncertainties.
-        """
-        used = table[(table["flag"] == "") & np.isfinite(table["brdf"])]
-        if len(used) < FEWEST:
-            raise DataError(f"{len(used)} usable points; a curve needs at least {FEWEST}")
-        u = used["u_random"].to_numpy(np.float64) if "u_random" in used else np.full(len(used), np.nan)
-        if not (np.isfinite(u) & (u > 0)).all():
-            raise DataError(
-                "the table states no uncertainty (u_random) for some of its points; intervals follow from it"
-            )
-        common = np.nan_to_num(used[[c for c in used.columns if c.startswith("s_")]].to_numpy(np.float64))
-        return cls(Directions.from_table(used), used["brdf"].to_numpy(np.float64), u, common, cones=cones)
 
     @cached_property
     def link(self) -> Link:
@@ -462,9 +439,3 @@ def _moved(d: Directions, by: float) -> Directions:
     """Detectors further from the normal, on the far side of it: in the plane of the source's mirror direction."""
     omega_i, omega_r = d.vectors
     return Directions.from_vectors(omega_i, omega_r + by * direction(d.theta_i + np.pi / 2, d.phi_i + np.pi))
-
-
-def bands(table: DataFrame) -> list[DataFrame]:
-    """The rows of each wavelength and polarisation."""
-    keys = [k for k in ("wavelength_nm", "polarisation") if k in table]
-    return [part for _, part in table.groupby(keys, dropna=False, sort=True)] if keys else [table]

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from gonio.measurement import Reading
 
 Columns = Annotated[str | None, typer.Option(help="Names and units in a table of one's own: theta_i=ti:rad,brdf=f.")]
-Blank = Annotated[Path | None, typer.Option(help="The blank to subtract from an RT-300S workbook.")]
 
 
 def _version(asked: bool) -> None:
@@ -33,8 +32,8 @@ def options(
     """A goniometer workbench: plan, measure, reduce, fit, compare and report BRDFs."""
 
 
-def reading(columns: str | None, blank: Path | None) -> Reading:
-    """What --columns and --blank say.
+def reading(columns: str | None) -> Reading:
+    """What --columns says.
 
     Raises
     ------
@@ -44,7 +43,7 @@ def reading(columns: str | None, blank: Path | None) -> Reading:
     from gonio.formats import own_columns
     from gonio.measurement import Reading
 
-    return Reading(None if columns is None else own_columns.pairs(columns), blank)
+    return Reading(None if columns is None else own_columns.pairs(columns))
 
 
 def remember(specs: Sequence[str], how: Reading) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gonio.cli import console
-from gonio.cli.options import Blank, Columns, reading, remember
+from gonio.cli.options import Columns, reading, remember
 from gonio.disk import is_stream
 from gonio.errors import ConfigError, DataError, GonioError
 
@@ -33,7 +33,6 @@ def convert(
         "--to", help="Format of OUT, where its ending does not tell; mitsuba or radiance; datacite; of a run bluesky;"
         " of a map textures.")] = None,
     columns: Columns = None,
-    blank: Blank = None,
     wavelength_nm: Annotated[float | None, typer.Option(
         help="For a renderer: this wavelength of a table alone, in grey.")] = None,
 ) -> None:  # fmt: skip
@@ -41,11 +40,11 @@ def convert(
     from gonio import measurement, plugins
 
     if target_format == _TEXTURES:
-        _textures(source, target, source_format or columns or blank or wavelength_nm)
+        _textures(source, target, source_format or columns or wavelength_nm)
         return
     original = Path(measurement.split(source)[0])
     _require_place(target, original)
-    how = reading(columns, blank)
+    how = reading(columns)
     exports = plugins.available("gonio.exports")
     if target_format is not None:
         known = _known()
@@ -55,12 +54,12 @@ def convert(
                 f"({exports[target_format].value}) is passed over, and needs another name"
             )
         elif target_format in exports:
-            _export(source, target, target_format, source_format or columns or blank or wavelength_nm)
+            _export(source, target, target_format, source_format or columns or wavelength_nm)
             return
         elif target_format not in known:
             raise ConfigError(_unknown(target_format, known, list(exports)))
     if source.endswith(".toml"):
-        for name, given in (("columns", columns), ("blank", blank), ("wavelength-nm", wavelength_nm)):
+        for name, given in (("columns", columns), ("wavelength-nm", wavelength_nm)):
             if given is not None:
                 raise ConfigError(f"{source}: is a model, which has no --{name}")
         remarks, done = _model(source, target, target_format)
@@ -72,7 +71,7 @@ def convert(
         if target_format not in (*_RENDERERS, "datacite") and original.exists():
             measurement.written_as(target, target_format)
         path, sample = measurement.split(source)
-        table = measurement.read(path, format=source_format, sample=sample, columns=how.columns, blank=how.blank)
+        table = measurement.read(path, format=source_format, sample=sample, columns=how.columns)
         for note in measurement.of_reader(table):
             console.note(note)
         remarks, done = _table(

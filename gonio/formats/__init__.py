@@ -17,8 +17,6 @@ _MODULES = (
     "native",
     "astm",
     "nist_mueller",
-    "mwir_inplane",
-    "reflectance_factor",
     "gtc",
     "bird_json",
     "alta",

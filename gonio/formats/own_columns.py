@@ -1,7 +1,8 @@
 """A table made by hand under its maker's own column names and units: which of them is which column.
 
 The pairs stand on the command line (`--columns theta_i=ti:rad,brdf=R:factor`) or in `<name>.columns.toml` beside the
-table (`theta_i = "ti:rad"`). The table is a CSV or an Excel workbook.
+table (`theta_i = "ti:rad"`). The table is a CSV or an Excel workbook. Beside an instrument's workbook the file names
+its blank (`blank = "dark.xls"`).
 """
 
 import math
@@ -108,6 +109,12 @@ def beside(path: Path) -> dict[str, str] | None:
         if not isinstance(own, str) or not own:
             raise ConfigError(f'{file}: {key} = {str(own)[:40]}; the name of a column is needed, as {key} = "name"')
     return stored
+
+
+def blank_beside(path: Path) -> Path | None:
+    """The blank of an instrument's workbook that `blank = "FILE"`, the only key there, names beside it; else None."""
+    stored = beside(path)
+    return path.parent / stored["blank"] if stored is not None and set(stored) == {"blank"} else None
 
 
 def _owns(path: Path) -> bool:

@@ -8,10 +8,10 @@ Column 0 of each worksheet holds labels, each further column one measurement: `A
 The blank is a workbook `blank*.xls` beside the sample's: of several, the last one that is not dated after the sample.
 The mirror half-plane is A = -90 with R > 0, and A = +90 with R < 0: dphi = 90 - A for positive R. Around retro the
 receiver stands in the beam: within 10 degrees in R and 30 in azimuth, as the laboratory leaves out, rows are "blocked".
-Directions measured twice are both there; those that the blank lacks are "no_blank". A blank that is named (`blank`) has
-to have them all, and repeats of its directions count as their mean. The file states no uncertainties and no solid
-angles. Where a sample repeats directions often enough, their scatter is the uncertainty of its signals (the blank's, of
-its own repeats or else the same); without repeats it stays unknown.
+Directions measured twice are both there; those that the blank lacks are "no_blank". A blank that is named (`blank =
+"FILE"` in `<name>.columns.toml`) has to have them all, and repeats of its directions count as their mean. The file
+states no uncertainties and no solid angles. Where a sample repeats directions often enough, their scatter is the
+uncertainty of its signals (the blank's, of its own repeats or else the same); without repeats it stays unknown.
 """
 
 import math
@@ -65,7 +65,7 @@ def read(data: bytes, path: Path, blank: Path | None = None) -> DataFrame:
             raise DataError(
                 f"{path}: {alone} of {len(rows)} directions were not measured with the blank {blank}; the first is"
                 f" azimuth {a:g}, incidence {i:g}, receive {r:g} degrees. Measure the blank at them, or lay it beside"
-                " the file as blank*.xls and leave --blank out: such rows are then flagged"
+                " the file as blank*.xls and name none: such rows are then flagged"
             )
         signal -= dark[:, 0]
         notes.append(f"blank subtracted: {blank.name}")
@@ -105,7 +105,11 @@ def _zero(signal: Floats, blank: Path | None, path: Path) -> float:
         raise DataError(
             f"{path}: its signals{less} go from {low:.4g} to {high:.4g}: below zero they are no reflected light, and"
             f" at most {MOST_BELOW:g} of the largest one is noise that can be taken as zero; "
-            + ("is this the sample's blank? Name it with --blank" if blank is not None else "is RT exported as it is?")
+            + (
+                f"is this the sample's blank? Name another, blank = 'FILE', in {path.stem}.columns.toml"
+                if blank is not None
+                else "is RT exported as it is?"
+            )
         )
     return low
 

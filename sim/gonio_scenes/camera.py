@@ -48,8 +48,6 @@ class CameraTable(Strict):
     lens_radius_mm: Annotated[float, Field(ge=0.0, le=LARGEST_MM)] = 0.0
     focus_mm: Length | None = None
     """Distance of the plane in focus from the lens, along the axis; that of `look_at_mm` if it is not given."""
-    polariser_deg: float | None = None
-    """A linear polariser before the lens: the angle of what it passes from the picture's right, toward its top."""
     rig: str | None = None
     """A rig's name or file: its camera looks at the origin of the scene, which is the centre of its sample."""
     pose: PoseTable | None = None

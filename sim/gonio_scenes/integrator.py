@@ -32,8 +32,6 @@ class Integrator:
         self._discs = [light for light in scene.lights if isinstance(light, Disc)]
         to_see = scene.world.casts_shadows or bool(self._discs) or scene.ambient is not None
         self._mirrors = to_see and any(material.has_spike for material in scene.material)
-        self._axis = _polariser(scene)
-        """Axis of the polariser before the camera, in the scene."""
         self._one_material = len(set(map(id, scene.material))) == 1
         self._any_seen = any(disc.visible for disc in self._discs)
 
@@ -46,8 +44,7 @@ class Integrator:
         out = np.zeros((direction.shape[0], scene.wavelength_nm.size))
         self.rays["camera"] += direction.shape[0]
         first = hits = scene.world.hit(origin, direction)
-        past = None if self._axis is None else np.full((direction.shape[0], 1), 0.5)  # unpolarised light
-        self._beyond(out, None, past, origin, direction, hits, mirrored=False)
+        self._beyond(out, None, None, origin, direction, hits, mirrored=False)
         where: Indices | None = None  # of the ray in `out`, and None where they are all there
         weight: Floats | None = None
         for depth in range(scene.mirror_depth + 1):
@@ -59,12 +56,11 @@ class Integrator:
             direction = direction if whole else direction.take(met, axis=0)
             where = (met if where is None else where[met]) if not whole else where
             weight = weight if weight is None or whole else weight[met]
-            axis = self._axis if depth == 0 else None
-            light = self._lit(hits, direction, random, axis)
+            light = self._lit(hits, direction, random)
             _add(out, where, light if weight is None else weight * light)
             if not self._mirrors:
                 break
-            mirrored = self._mirror(hits, direction, weight, axis)
+            mirrored = self._mirror(hits, direction, weight)
             if mirrored is None:
                 break
             kept, weight, toward = mirrored
@@ -107,7 +103,7 @@ class Integrator:
 
     # --- what surfaces send back ------------------------------------------------------------------------------------
 
-    def _lit(self, hits: Hits, direction: Floats, random: np.random.Generator | None, axis: Floats | None) -> Floats:
+    def _lit(self, hits: Hits, direction: Floats, random: np.random.Generator | None) -> Floats:
         """Radiances (n, wavelengths) of hits toward where their rays came from, mirror rays left out."""
         scene = self.scene
         out = np.zeros((hits.shape.size, scene.wavelength_nm.size))
@@ -126,36 +122,24 @@ class Integrator:
                 irradiance = towards[:, 2] * arriving.strength / count
                 for material, at in self._by_material(hits, here):
                     omega_i, omega_r, uv = (a.take(at, axis=0) for a in (towards, view, hits.uv))
-                    if light.polarisation is None and axis is None:
+                    if light.polarisation is None:
                         f = material.brdf(omega_i, omega_r, uv)
                     else:
-                        of_light, of_camera = (
-                            None if a is None else local(a, hits.facing[at], hits.tangent[at])
-                            for a in (light.polarisation, axis)
-                        )
-                        f = material.polarised(omega_i, omega_r, uv, of_light, of_camera)
+                        field = local(light.polarisation, hits.facing[at], hits.tangent[at])
+                        f = material.polarised(omega_i, omega_r, uv, field)
                     _add(out, at, f * irradiance[at, None] * light.power)
         if scene.ambient is not None:
-            share = 1.0 if axis is None else 0.5  # of light that is taken as unpolarised
             for material, at in self._by_material(hits, np.arange(hits.shape.size)):
-                _add(out, at, share * material.ambient(view[at], hits.uv[at]) * scene.ambient)
+                _add(out, at, material.ambient(view[at], hits.uv[at]) * scene.ambient)
         return out
 
-    def _mirror(
-        self, hits: Hits, direction: Floats, weight: Floats | None, axis: Floats | None
-    ) -> tuple[Indices, Floats, Floats] | None:
+    def _mirror(self, hits: Hits, direction: Floats, weight: Floats | None) -> tuple[Indices, Floats, Floats] | None:
         """The mirror rays that carry something: which hits they leave, with what weight, in what direction."""
         cosine = -np.einsum("ij,ij->i", direction, hits.facing)
         carried = np.zeros((hits.shape.size, self.scene.wavelength_nm.size))
         for material, part in self._by_material(hits, np.arange(hits.shape.size)):
-            if not material.has_spike:
-                continue
-            if axis is None:
+            if material.has_spike:
                 carried[part] = material.specular(cosine[part], hits.uv[part])
-            else:
-                facing, tangent = hits.facing[part], hits.tangent[part]
-                view, passing = local(direction[part], facing, tangent, -1.0), local(axis, facing, tangent)
-                carried[part] = material.polarised_specular(view, hits.uv[part], passing)
         if weight is not None:
             carried *= weight
         kept = np.flatnonzero(carried.max(axis=1) > FAINT)
@@ -184,14 +168,6 @@ def _lights_facet(direction: Floats, hits: Hits, here: Indices) -> Bools:
         * np.einsum("ij,ij->i", normal, facing)
         > -1e-12
     )
-
-
-def _polariser(scene: Scene) -> Floats | None:
-    """The axis of the polariser before the camera, a unit vector of the scene."""
-    if scene.polariser_deg is None:
-        return None
-    angle = np.deg2rad(scene.polariser_deg)
-    return np.asarray(np.cos(angle) * scene.camera.right - np.sin(angle) * scene.camera.down)
 
 
 def _nearest(discs: list[Disc], origin: Floats, direction: Floats, nearest: Floats) -> list[tuple[Disc, Indices]]:

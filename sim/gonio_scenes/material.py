@@ -153,25 +153,13 @@ class Material:
         """
         return self._by_level(uv, lambda level, here: self._brdf(level, omega_i[here], omega_r[here]))
 
-    def polarised(
-        self, omega_i: Floats, omega_r: Floats, uv: Floats, field: Floats | None, axis: Floats | None
-    ) -> Floats:
-        """As `brdf`, for light with an electric field along `field` and behind a polariser along `axis` (n, 3)."""
-
-        def evaluate(level: tuple[float, ...], here: Any) -> Floats:
-            of_light = None if field is None else field[here]
-            of_camera = None if axis is None else axis[here]
-            return self._each(
-                level, lambda m, w: polarised.brdf(m, omega_i[here], omega_r[here], of_light, of_camera, w)
-            )
-
-        return self._by_level(uv, evaluate)
-
-    def polarised_specular(self, omega_r: Floats, uv: Floats, axis: Floats) -> Floats:
-        """As `specular`, behind a polariser."""
+    def polarised(self, omega_i: Floats, omega_r: Floats, uv: Floats, field: Floats) -> Floats:
+        """As `brdf`, for light with an electric field along `field` (n, 3)."""
         return self._by_level(
             uv,
-            lambda level, here: self._each(level, lambda m, w: polarised.specular(m, omega_r[here], axis[here], w)),
+            lambda level, here: self._each(
+                level, lambda m, w: polarised.brdf(m, omega_i[here], omega_r[here], field[here], w)
+            ),
         )
 
     def specular(self, cos_theta: Floats, uv: Floats) -> Floats:

@@ -246,7 +246,7 @@ class _Writer:
 
     def _say_of_scene(self) -> None:
         scene, discs, ambient = self.scene, self.discs, self.scene.ambient is not None
-        polarised = scene.polariser_deg is not None or any(light.polarisation is not None for light in scene.lights)
+        polarised = any(light.polarisation is not None for light in scene.lights)
         given = any(table.ambient_reflectance is not None for table in scene.tables.material.values())
         some_unseen = discs and not self.hidden and not all(disc.visible for disc in discs)
         one_ray = scene.camera.samples == 1
@@ -352,7 +352,7 @@ def _triangles(shape: Shape, kind: str) -> tuple[Floats, Floats | None, Array] |
         corners = shape.vertices[shape.faces].reshape(-1, 3)
         if shape.normals is None:
             return shape.vertices, None, shape.faces
-        smooth = shape.normals.values[shape.normals.faces].reshape(-1, 3)
+        smooth = shape.normals[shape.faces].reshape(-1, 3)
         return corners, smooth, np.arange(len(corners)).reshape(-1, 3)
     if isinstance(shape, Analytic) and kind == "revolution":
         points, _, slopes = shape.constants[:3]

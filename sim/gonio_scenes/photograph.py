@@ -19,7 +19,7 @@ from gonio_scenes.exposures import Exposure
 from gonio_scenes.scene import Scene
 from gonio_scenes.shapes import AnyShape, Shape
 from gonio_scenes.shapes.analytic import Analytic, Revolution
-from gonio_scenes.shapes.triangles import Triangles
+from gonio_scenes.shapes.heightfield import Heights
 from gonio_scenes.squares import FLAGS, RING, Mask, Pixels, Squares, common, require_light
 from gonio_scenes.vantage import Seen, Vantage, displaced
 from gonio_scenes.world import Hits, World
@@ -100,7 +100,7 @@ def _light(scene: Scene) -> Any:
         )
     if len(scene.lights) != 1:
         raise ConfigError(f"light: {len(scene.lights)} lights: which of them lit a pixel cannot be told; one is needed")
-    if scene.polariser_deg is not None or scene.lights[0].polarisation is not None:
+    if scene.lights[0].polarisation is not None:
         raise ConfigError("polarisation: a photograph is reduced for unpolarised light alone")
     if not scene.lights[0].power[0] > 0.0:
         raise ConfigError("light[1]: is dark")
@@ -151,7 +151,7 @@ def _looked_at(
     if crease is not None:
         _, piece = np.unique(np.round(normal @ crease / SAME), return_inverse=True, equal_nan=True)
         piece = piece.reshape(shape)
-    facets = isinstance(vantage.shape, Triangles)
+    facets = isinstance(vantage.shape, Heights)
     flat = facets and piece is not None and np.unique(piece[seen]).size >= FEW_FACETS
     reasons = (
         _near_edge(seen, normal.reshape(*shape, 3), margin),
@@ -181,7 +181,7 @@ def _cut_off(exposure: Exposure, received: Floats, low: Mask) -> Mask:
 
 def _creases(table: AnyShape, shape: Shape) -> Floats | None:
     """What normals are multiplied with to tell one side of a crease from the other; None where there are no creases."""
-    if isinstance(shape, Triangles) and shape.normals is None:
+    if isinstance(shape, Heights) and shape.normals is None:
         return KEY
     if isinstance(table, Revolution) and isinstance(shape, Analytic) and not table.smooth:
         return np.asarray(shape.place.axes[2])

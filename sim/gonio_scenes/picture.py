@@ -232,7 +232,7 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
     centres = camera.noiseless and scene.tolerance == 0.0 and all(disc.samples == 1 for disc in discs)
     to_mirror = shadows or discs or ambient
     one_wave = scene.wavelength_nm.size == 1
-    polarised = scene.polariser_deg is not None or any(light.polarisation is not None for light in scene.lights)
+    polarised = any(light.polarisation is not None for light in scene.lights)
     shown = any(disc.polarisation is not None and disc.visible for disc in discs)
     rules: list[tuple[object, str, str]] = [
         (not scene.lights, "shadow rays", "no light comes from a direction"),
@@ -243,9 +243,7 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
         (one_wave, "colour", "one wavelength: the picture is grey"),
         (constant and not one_wave, "spectra of materials",
          "no BRDF depends on the wavelength: each is evaluated once"),
-        (not polarised, "polarisation", "neither a polariser nor polarised light"),
-        (polarised and ambient, "polarisation of ambient light",
-         "half of it passes the polariser, whatever the reflection does to it"),
+        (not polarised, "polarisation", "no light is polarised"),
         (polarised and spikes and (shadows or discs), "polarisation of what a mirror shows",
          "what comes along a mirror ray is taken as unpolarised"),
         (shown, "polarisation of discs of light that the camera sees",

@@ -1,16 +1,14 @@
-"""A polariser before the camera, and polarised light: what reaches the sensor of a model's Mueller matrix.
+"""Polarised light: what a model's Mueller matrix makes of it, for a camera that does not tell polarisations apart.
 
 Stokes vectors stand on the bases of `HeTorrance.mueller`: s = k x z/|k x z|, p = s x k, with k the direction in which
-the light travels and z the surface's normal. A linear polariser whose axis makes the angle chi with s passes
-(I + Q cos 2 chi + U sin 2 chi)/2.
+the light travels and z the surface's normal.
 """
 
 import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.geometry import angles
-from gonio.models import HeTorrance, Lambert, Model, OrenNayar, Sum, fresnel
-from gonio.models.parameters import index_at
+from gonio.models import HeTorrance, Lambert, Model, OrenNayar, Sum
 from gonio.typing import Floats
 
 
@@ -21,8 +19,8 @@ def require(model: Model, where: str) -> None:
             require(term, where)
     elif not isinstance(model, (HeTorrance, Lambert, OrenNayar)):
         raise ConfigError(
-            f'{where}: the model "{model.name}" has no polarised form, and the scene has a polariser or polarised '
-            "light: take he-torrance, lambert or oren-nayar (which depolarise), or leave the polariser out"
+            f'{where}: the model "{model.name}" has no polarised form, and the scene has polarised light: take '
+            "he-torrance, lambert or oren-nayar (which depolarise), or leave polarisation out"
         )
 
 
@@ -46,15 +44,8 @@ def doubled_angle(travel: Floats, axis: Floats) -> tuple[Floats, Floats]:
     return (along_s**2 - along_p**2) / total, 2.0 * along_s * along_p / total
 
 
-def brdf(
-    model: Model,
-    omega_i: Floats,
-    omega_r: Floats,
-    field: Floats | None,
-    axis: Floats | None,
-    wavelength_nm: float,
-) -> Floats:
-    """What multiplies the irradiance to give the radiance behind the polariser [1/sr], (n,).
+def brdf(model: Model, omega_i: Floats, omega_r: Floats, field: Floats, wavelength_nm: float) -> Floats:
+    """What multiplies the irradiance to give the radiance [1/sr], (n,).
 
     Parameters
     ----------
@@ -63,46 +54,20 @@ def brdf(
     omega_i, omega_r
         Unit vectors (n, 3) in the surface's frame.
     field
-        Along the electric field of the light (n, 3), in the surface's frame; None for unpolarised light.
-    axis
-        The polariser's axis (n, 3), in the surface's frame; None for no polariser.
+        Along the electric field of the light (n, 3), in the surface's frame.
     """
     if isinstance(model, Sum):
         return np.asarray(
-            sum(weight * brdf(term, omega_i, omega_r, field, axis, wavelength_nm) for term, weight in model.terms)
+            sum(weight * brdf(term, omega_i, omega_r, field, wavelength_nm) for term, weight in model.terms)
         )
     if not isinstance(model, HeTorrance):  # it depolarises
-        f = np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm))
-        return f if axis is None else 0.5 * f
+        return np.asarray(model.brdf_vectors(omega_i, omega_r, wavelength_nm=wavelength_nm))
     seen = (omega_i[:, 2] >= 0.0) & (omega_r[:, 2] >= 0.0)
     out = np.zeros(omega_i.shape[0])
     omega_i, omega_r = omega_i[seen], omega_r[seen]
     matrix = model.mueller(*angles(omega_i), *angles(omega_r), wavelength_nm=wavelength_nm)
     light = np.zeros((omega_i.shape[0], 4))
     light[:, 0] = 1.0
-    if field is not None:
-        light[:, 1], light[:, 2] = doubled_angle(-omega_i, field[seen])
-    stokes = np.einsum("nij,nj->ni", matrix, light)
-    out[seen] = stokes[:, 0] if axis is None else passed(stokes, omega_r, axis[seen])
+    light[:, 1], light[:, 2] = doubled_angle(-omega_i, field[seen])
+    out[seen] = np.einsum("nj,nj->n", matrix[:, 0], light)
     return out
-
-
-def passed(stokes: Floats, omega_r: Floats, axis: Floats) -> Floats:
-    """What a polariser passes of light with Stokes vectors (n, 4) that travels along `omega_r`."""
-    cosine, sine = doubled_angle(omega_r, axis)
-    return np.asarray(0.5 * (stokes[:, 0] + stokes[:, 1] * cosine + stokes[:, 2] * sine))
-
-
-def specular(model: Model, omega_r: Floats, axis: Floats, wavelength_nm: float) -> Floats:
-    """What a polariser passes of the spike of unpolarised light, as a share of the light, (n,)."""
-    if isinstance(model, Sum):
-        return np.asarray(sum(weight * specular(term, omega_r, axis, wavelength_nm) for term, weight in model.terms))
-    cosine = np.clip(omega_r[:, 2], 0.0, 1.0)
-    whole = np.asarray(model.specular_reflectivity(np.arccos(cosine), wavelength_nm=wavelength_nm))
-    if not isinstance(model, HeTorrance):
-        return 0.5 * whole
-    f_s, f_p = (np.abs(f) ** 2 for f in fresnel.amplitudes(cosine, index_at(model.ior, wavelength_nm)))
-    stokes = np.zeros((cosine.size, 4))
-    stokes[:, 0] = whole
-    stokes[:, 1] = whole * (f_s - f_p) / np.maximum(f_s + f_p, 1e-300)
-    return passed(stokes, omega_r, axis)

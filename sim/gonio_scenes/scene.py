@@ -161,7 +161,6 @@ class Scene:
     name: str
     wavelength_nm: Floats
     camera: Camera
-    polariser_deg: float | None
     world: World
     material: tuple[Material, ...]
     """Of each shape."""
@@ -218,15 +217,7 @@ def _built(tables: SceneFile, source: Path) -> Scene:
             shapes.append(table.build(folder))
         except (ConfigError, DataError) as error:
             raise type(error)(f"shape[{k + 1}] ({table.kind}): {error}") from None
-    for k, (shape, table) in enumerate(zip(shapes, tables.shape, strict=True)):
-        if tables.material[table.material].textures and not shape.has_uv:
-            raise ConfigError(
-                f"shape[{k + 1}] ({table.kind}): its material {table.material} has textures, and its file says nowhere "
-                "where they lie (no uv): export the mesh with texture coordinates, or take textures out"
-            )
-    if tables.camera.polariser_deg is not None or any(
-        not isinstance(light, AmbientTable) and light.polarisation is not None for light in tables.light
-    ):
+    if any(not isinstance(light, AmbientTable) and light.polarisation is not None for light in tables.light):
         for name, material in materials.items():
             polarised.require(material.model, f"material.{name}")
     camera = cameras.from_table(tables.camera, rig)
@@ -249,7 +240,6 @@ def _built(tables: SceneFile, source: Path) -> Scene:
         name=tables.name,
         wavelength_nm=waves,
         camera=camera,
-        polariser_deg=tables.camera.polariser_deg,
         world=world,
         material=tuple(materials[shape.material] for shape in tables.shape),
         lights=tuple(shining),

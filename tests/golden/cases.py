@@ -115,7 +115,7 @@ center_mm = 0.05
 MEASURE = ("measure", "plan.toml", "--rig", "RIG", "--sample", "sample.toml", "--out", "run", "--seed", "5", "--yes")
 RUN = ("run/brdf.csv", "run/journal.jsonl", "run/plan.csv")
 WRITTEN = {
-    "table.astm": (), "table.bsdf.json": ("--to", "bird-json"), "factor.txt": ("--to", "reflectance-factor"),
+    "table.astm": (), "table.bsdf.json": ("--to", "bird-json"),
     "alta.dat": ("--to", "alta"), "datacite.json": ("--to", "datacite"),
 }  # fmt: skip
 """Formats that a table in one plane can be written to, by file."""

@@ -7,18 +7,17 @@ from typing import Any
 import pytest
 from gonio_analysis.report import make
 
-from tests.places import SHARED_DATA, measured
+from tests.places import measured
+from tests.recipes import infrared_metals
 
 pytestmark = pytest.mark.slow
 
-DATA = SHARED_DATA / "brdf"
 MODELS = ("cook-torrance", "oren-nayar", "he-torrance")
 
 
 def report(tmp_path: Path, *names: str, models: tuple[str, ...] = MODELS, **options: Any) -> list[dict[str, Any]]:
-    for name in names:
-        measured(f"brdf/{name.partition(':')[0]}")
-    index = make([str(DATA / n) for n in names], tmp_path / "out", models=models, **options)
+    tables = [name if Path(name).is_absolute() else str(measured(f"brdf/{name}")) for name in names]
+    index = make(tables, tmp_path / "out", models=models, **options)
     return json.loads(index.with_name("summary.json").read_text(encoding="utf-8"))["datasets"]
 
 
@@ -46,7 +45,7 @@ def test_nist_ptfe(tmp_path: Path) -> None:
 
 
 def test_infrared_metal_in_a_broad_band(tmp_path: Path) -> None:
-    name = "mwir_metals/mwir_inplane_reflected_radiance.csv:sandblasted aluminium"
+    name = f"{infrared_metals(tmp_path)}:sandblasted aluminium"
     (metal,) = report(tmp_path, name)
     assert metal["wavelength_nm"] is None
     assert "--wavelength-nm" in metal["skipped"]["he-torrance"]
@@ -58,7 +57,7 @@ def test_infrared_metal_in_a_broad_band(tmp_path: Path) -> None:
 
 def test_a_metal_s_fit_that_reflects_more_than_it_receives_is_marked(tmp_path: Path) -> None:
     """In-plane scans of brushed steel leave the width across the plane open: an isotropic lobe is too wide there."""
-    name = "mwir_metals/mwir_inplane_reflected_radiance.csv:brushed stainless steel"
+    name = f"{infrared_metals(tmp_path)}:brushed stainless steel"
     (metal,) = report(tmp_path, name, models=("cook-torrance",))
     steel = metal["models"]["cook-torrance"]
     assert steel["reflects_too_much"]

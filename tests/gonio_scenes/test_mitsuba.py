@@ -96,8 +96,7 @@ def test_what_is_left_out_is_said() -> None:
         scene(
             shape=[*SPHERE["shape"], {"kind": "plane", "material": "checks"}],
             material={"m": rough, "checks": checks},
-            camera=SPHERE["camera"] | {"polariser_deg": 0.0},
-            light=[*SPHERE["light"], {"kind": "ambient", "radiance": 1.0}],
+            light=[SPHERE["light"][0] | {"polarisation": [0.0, 1.0, 0.0]}, {"kind": "ambient", "radiance": 1.0}],
         ),
         **SMALL,
     )
@@ -150,7 +149,6 @@ class Triangles:
     faces: Ints = field(default_factory=lambda: np.array([[0, 1, 2]]))
     convex: bool = True
     closed: bool = False
-    has_uv: bool = False
     size_mm: float = 20.0
 
     def intersect(self, origin: Floats, direction: Floats, nearest: float) -> tuple[Floats, Ints]:
@@ -163,16 +161,10 @@ class Triangles:
         return False
 
 
-@dataclass(frozen=True)
-class PerCorner:
-    values: Floats
-    faces: Ints
-
-
 @pytest.mark.parametrize("smooth", [False, True])
 def test_triangles_are_written_with_the_normals_that_they_have(smooth: bool) -> None:
     """Mitsuba makes normals up where a file has none, unless it is told not to."""
-    up = PerCorner(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3), np.int64))
+    up = np.tile([0.0, 0.0, 1.0], (3, 1))
     made = mitsuba.export(replace(scene(), world=World([Triangles(up if smooth else None)], np.zeros(3))))
     flat = some(xml(made).find("shape[@type='ply']/boolean[@name='face_normals']"))
     assert flat.attrib["value"] == ("false" if smooth else "true")

@@ -71,7 +71,7 @@ FROM_600 = {"wavelength_nm": [600, 700], "value": [0.1, 0.2]}
             "either file or pattern",
         ),
         (
-            {"camera": SPHERE["camera"] | {"polariser_deg": 0.0}, "material": {"m": {"model": "phong"}}},
+            {"light": [SPHERE["light"][0] | {"polarisation": [0.0, 1.0, 0.0]}], "material": {"m": {"model": "phong"}}},
             r'material\.m: the model "phong" has no polarised form',
         ),
     ],
@@ -113,14 +113,6 @@ def test_a_texture_stands_upright_and_is_read_where_it_is_hit(tmp_path: Path) ->
     up = np.tile([0.0, 0.0, 1.0], (4, 1))
     expected = (0.2 + 0.5 * image.ravel() / 255.0) / np.pi
     np.testing.assert_allclose(material.brdf(up, up, uv)[:, 0], expected, rtol=1e-14)
-
-
-def test_a_texture_on_a_mesh_that_has_no_place_for_it_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "t.obj").write_text("v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\n")
-    mesh = {"kind": "mesh", "file": "t.obj", "open": True, "material": "m"}
-    striped = {"m": {"model": "lambert", "textures": {"albedo": {"pattern": "stripes"}}}}
-    with pytest.raises(ConfigError, match=r"shape\[1\] \(mesh\): its material m has textures.*export the mesh with"):
-        scene(tmp_path, shape=[mesh], material=striped)
 
 
 def test_the_light_of_a_room_may_be_in_the_room_with_the_camera() -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from gonio_sweeps import curve
 from gonio_sweeps.candidates import Candidates
@@ -14,10 +13,9 @@ from gonio_sweeps.curve import SAMPLER, Curve, _angle_errors
 from gonio_sweeps.lobe import TILT, Spike, begun
 from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.posterior import AngleErrors, Before, Posterior
-from gonio_sweeps.reconstruct import reconstruct
 
 from gonio import models
-from gonio.errors import ConfigError, DataError, Interrupted
+from gonio.errors import ConfigError, Interrupted
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
 from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
@@ -232,39 +230,6 @@ def test_errors_of_angles_count_where_the_curve_is_steep() -> None:
     assert u_without[flank] / f[flank] < 0.005
 
 
-def test_a_table_without_uncertainties_has_no_intervals() -> None:
-    table = pd.DataFrame(
-        {"theta_i_deg": 30.0, "phi_i_deg": 0.0, "theta_r_deg": [10.0, 20.0, 30.0, 40.0], "phi_r_deg": 180.0}
-    ).assign(wavelength_nm=550.0, brdf=0.2, flag="")
-    with pytest.raises(DataError, match="u_random"):
-        reconstruct(table)
-    with pytest.raises(DataError, match="2 usable points"):
-        reconstruct(table.assign(u_random=0.001, flag=["", "saturated", "", "blocked"]))
-
-
-def test_curves_of_a_table_lie_between_its_outermost_points() -> None:
-    x = np.linspace(-60, 70, 14)
-    d = in_plane(x)
-    angles = dict(zip(("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"), np.degrees(d.angles), strict=True))
-    f = satin(d)
-    table = pd.DataFrame(angles).assign(wavelength_nm=550.0, brdf=f, u_random=2e-3 * f, s_reference=2e-3 * f, flag="")
-    found = reconstruct(table, step_deg=5.0)
-    assert found["theta_r_deg"].tolist() == pytest.approx(np.linspace(-60, 70, 27))
-    at_points = np.interp(x, found["theta_r_deg"], found["brdf"])
-    assert at_points == pytest.approx(f, rel=0.01)  # five standard uncertainties of a point
-    assert ((found["lower"] < found["brdf"]) & (found["brdf"] < found["upper"])).all()
-
-
-def test_a_point_beside_the_plane_of_incidence_is_on_no_curve() -> None:
-    d = in_plane(np.linspace(-60, 70, 14))
-    angles = dict(zip(("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"), np.degrees(d.angles), strict=True))
-    table = pd.DataFrame(angles)
-    aside = table.iloc[-1:].assign(theta_r_deg=80.0, phi_r_deg=table["phi_r_deg"].iloc[-1] + 90.0)
-    table = pd.concat([table, aside], ignore_index=True)
-    table = table.assign(brdf=0.3, u_random=1e-3, wavelength_nm=550.0, flag="")
-    assert reconstruct(table, step_deg=5.0)["theta_r_deg"].tolist() == pytest.approx(np.linspace(-60, 70, 27))
-
-
 def test_a_lobe_that_stands_on_a_base_is_known_at_its_foot() -> None:
     def narrow(x: Floats) -> Floats:
         return 0.1 + 3.0 * np.exp(-0.5 * ((x - 30) / 4) ** 2)
@@ -413,7 +378,3 @@ def test_a_run_that_is_stopped_and_gone_on_with_is_the_same_run(tmp_path: Path) 
     resumed = measure("stopped", resume=True)
     assert list(resumed.steps()) == list(whole.steps())
     assert brdf.reduce(resumed).equals(brdf.reduce(whole))
-    found = reconstruct(brdf.reduce(whole))
-    # the rig's sample is Lambertian, of albedo 0.5
-    inside = (found["lower"] <= 0.5 / np.pi) & (0.5 / np.pi <= found["upper"])
-    assert inside.mean() > 0.5

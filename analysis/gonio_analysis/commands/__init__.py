@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gonio.cli.options import Blank, Columns, reading, remember
+from gonio.cli.options import Columns, reading, remember
 from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_prior, read_radius
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
@@ -118,7 +118,6 @@ def fit(
     dask: Dask = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     columns: Columns = None,
-    blank: Blank = None,
 ) -> None:
     """Fit one model to measurements of a sample. With the table's covariance, and through the instrument's cones.
 
@@ -128,7 +127,7 @@ def fit(
     from gonio_analysis.fitting.optical_constants import Constants
     from gonio_analysis.fitting.problem import FitRequest
 
-    how, constants = reading(columns, blank), Constants.of(ior)
+    how, constants = reading(columns), Constants.of(ior)
     asked = FitRequest(
         model,
         ior=constants.of_all,
@@ -176,7 +175,6 @@ def compare(
     shared: Shared = None,
     png: Png = False,
     columns: Columns = None,
-    blank: Blank = None,
 ) -> None:
     """Fit several models to measurements, and write a report.
 
@@ -184,7 +182,7 @@ def compare(
     """
     from gonio_analysis.commands import implementations
 
-    how = reading(columns, blank)
+    how = reading(columns)
     fitting = {"models": models, "normalise": normalise, "radius": radius, "ior": ior, "dask": dask, "metric": metric,
                "energy": energy or None, "separate": separate or None, "png": png or None}  # fmt: skip
     unused = [name for name, value in fitting.items() if value is not None]
@@ -257,9 +255,8 @@ def appearance(
     as_json: Annotated[bool, typer.Option("--json", help="Print the quantities as JSON.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of a page with them.")] = None,
     columns: Columns = None,
-    blank: Blank = None,
 ) -> None:
     """Gloss, haze, reflectances, colour over angle, retroreflection and roughness. Of a measurement or of a model."""
     from gonio_analysis.commands import implementations
 
-    implementations.appearance(sample, wavelength_nm, out, reading(columns, blank), as_json=as_json)
+    implementations.appearance(sample, wavelength_nm, out, reading(columns), as_json=as_json)

@@ -77,7 +77,7 @@ def fit_many(
         if dask is not None:
             raise ConfigError("--dask: goes with a map, or with --each FOLDER|LIST; leave it out")
         return False
-    _require_plain("a map", asked, wanted, {**others, "--columns": how.columns, "--blank": how.blank})
+    _require_plain("a map", asked, wanted, {**others, "--columns": how.columns})
     wanted.constants.require_of_all("a map")
     fit_map(Path(table), out, asked, dask, materials, as_json=wanted.as_json)
     return True

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gonio import canvas
-from gonio.cli.options import Blank, Columns, reading, remember
+from gonio.cli.options import Columns, reading, remember
 
 
 def remounts(
@@ -21,7 +21,6 @@ def remounts(
     picture: Annotated[Path | None, typer.Option(help="Draw the deviations: a .png, .svg or .pdf.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     columns: Columns = None,
-    blank: Blank = None,
 ) -> None:
     """What an instrument repeats to when a sample is mounted again: scale, zero of the angle, and the rest."""
     from gonio import measurement
@@ -36,12 +35,12 @@ def remounts(
     if (add_to is None) != (out is None):
         raise ConfigError("--add-to and --out go together: the table that is read, and the one that is written")
     check_wavelength(wavelength_nm)
-    how = reading(columns, blank)
+    how = reading(columns)
     tables = {}
     for one in dict.fromkeys(mounts):
         path, sample = measurement.split(one)
         name = Path(path).stem if Path(path).stem not in tables else one
-        tables[name] = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)
+        tables[name] = measurement.read(path, sample=sample, columns=how.columns)
     for note in measurement.said_once({name: measurement.of_reader(table) for name, table in tables.items()}):
         console.note(note)
     found = scatter.remounts(tables, wavelength_nm)
@@ -59,7 +58,7 @@ def remounts(
         put(picture, drawn.getvalue())
     if add_to is not None and out is not None:
         path, sample = measurement.split(add_to)
-        table = measurement.read(path, sample=sample, columns=how.columns, blank=how.blank)
+        table = measurement.read(path, sample=sample, columns=how.columns)
         for remark in measurement.write(scatter.with_remount(table, found), out):
             console.note(remark)
         console.note(f"{out}: written, with the scatter of {len(tables)} mounts in its budget")

@@ -144,7 +144,7 @@ def _is_run(path: Path) -> bool:
 
 def _settings(asked: FitRequest, how: Reading) -> str:
     """What rows depend on besides their tables, as a short digest."""
-    said = {"gonio": gonio.__version__, "asked": asdict(asked), "columns": how.columns, "blank": how.blank}
+    said = {"gonio": gonio.__version__, "asked": asdict(asked), "columns": how.columns}
     return hashlib.sha256(json.dumps(said, default=str, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -84,7 +84,7 @@ def make(
     png
         Whether figures are written as PNG, too.
     how
-        Columns and blank of the tables, where they need any.
+        Columns of the tables, where they need any.
     command
         The command line, for the record.
     progress

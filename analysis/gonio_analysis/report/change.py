@@ -58,7 +58,7 @@ def make(
     u_rel
         Relative standard uncertainty to assume of tables that state none.
     how
-        Columns and blank of the tables, where they need any.
+        Columns of the tables, where they need any.
     command, progress
         The command line, for the record; called with a line before each step.
 

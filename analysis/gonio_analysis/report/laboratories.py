@@ -79,7 +79,7 @@ def make(
     u_rel
         Relative standard uncertainty to assume of tables that state none.
     wavelength_nm, how
-        The nearest wavelength alone is compared; columns and blank of the tables, where they need any.
+        The nearest wavelength alone is compared; columns of the tables, where they need any.
     command, progress
         The command line, for the record; called with a line before each step.
 

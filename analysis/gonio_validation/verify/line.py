@@ -12,7 +12,7 @@ from gonio.geometry import Directions
 from gonio.shown import with_u
 from gonio_validation.verify.finding import Finding, most
 
-FORMATS = ("gonio", "astm", "reflectance-factor", "bird", "alta", "xlsx", "nexus", "parquet")
+FORMATS = ("gonio", "astm", "bird", "alta", "xlsx", "nexus", "parquet")
 """Formats that hold a table in its own directions; others have a grid of theirs."""
 EXACT = ("gonio", "parquet", "nexus")
 SEED = 1991

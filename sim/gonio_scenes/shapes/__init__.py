@@ -5,12 +5,10 @@ from typing import Annotated
 from pydantic import Field
 
 from gonio_scenes.shapes.analytic import Box, Cylinder, Disc, Plane, Revolution, Sphere
-from gonio_scenes.shapes.mesh import HeightField, Mesh
+from gonio_scenes.shapes.heightfield import HeightField
 from gonio_scenes.shapes.shape import Ints, Shape, ShapeTable, Surface
 
-AnyShape = Annotated[
-    Plane | Disc | Sphere | Cylinder | Box | Revolution | HeightField | Mesh, Field(discriminator="kind")
-]
+AnyShape = Annotated[Plane | Disc | Sphere | Cylinder | Box | Revolution | HeightField, Field(discriminator="kind")]
 """The table of any shape, by its `kind`."""
 
 __all__ = [
@@ -20,7 +18,6 @@ __all__ = [
     "Disc",
     "HeightField",
     "Ints",
-    "Mesh",
     "Plane",
     "Revolution",
     "Shape",

@@ -5,7 +5,7 @@ Also here is a surface of revolution: exact frusta between the points of its pro
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -51,7 +51,6 @@ class Analytic:
     size_mm: float
     convex: bool
     inside: Callable[[float, float, float], bool] | None = None
-    has_uv: bool = field(default=True, init=False)
 
     @property
     def closed(self) -> bool:

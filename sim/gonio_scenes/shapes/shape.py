@@ -57,10 +57,6 @@ class Shape(Protocol):
         """Whether it has an inside."""
 
     @property
-    def has_uv(self) -> bool:
-        """Whether its uv place a texture; where not (a mesh whose file has none) they are 0."""
-
-    @property
     def size_mm(self) -> float:
         """A length to scale tolerances with."""
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from gonio.checks.verdicts import Taken, VisitsOfBand, of_energy, of_pairs, of_r
 from gonio.geometry import Directions
 from gonio.typing import Floats
 from tests.command_line import some
-from tests.places import measured
+from tests.recipes import infrared_metals
 
 OVER = VisitsOfBand(
     used=5, lost=(), unknown="", straight=True, chi_square=2.0, drift_per_hour=0.003, u_drift_per_hour=0.001,
@@ -203,9 +204,9 @@ def test_the_place_of_a_difference_names_its_cause() -> None:
     assert "Most of it lies within 5° of the mirror direction" in moved.advice
 
 
-def test_infrared_metals_are_reciprocal_or_not_as_their_makers_say() -> None:
+def test_infrared_metals_are_reciprocal_or_not_as_their_makers_say(tmp_path: Path) -> None:
     """Sandblasted aluminium agrees within 12 %; the shiny samples do not, and the check says where."""
-    samples = measurement.tables(measured("brdf/mwir_metals/mwir_inplane_reflected_radiance.csv"))
+    samples = measurement.tables(infrared_metals(tmp_path))
     found = {}
     for name, table in samples.items():
         (values,) = values_of(table).values()

@@ -17,6 +17,7 @@ from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats import own_columns, workbook
 from gonio.formats.sheets import Sheet
+from tests import recipes
 from tests.command_line import gonio, says, some
 
 PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
@@ -336,3 +337,24 @@ def test_a_name_keeps_its_letters_in_a_note() -> None:
     frame.attrs["notes"] = ["theta_i_deg is here", "brdf is there", "a.csv is read", "one is not", "'x' is y"]
     told = ["theta_i_deg is here.", "brdf is there.", "a.csv is read.", "One is not.", "'x' is y."]
     assert measurement.of_reader(frame) == told
+
+
+def test_tables_that_had_a_reader_of_their_own_are_read_as_the_page_says(tmp_path: Path) -> None:
+    metals = measurement.tables(recipes.infrared_metals(tmp_path))
+    assert len(metals) == 8
+    assert {len(frame) for frame in metals.values()} == {890}
+    grid = metals["sandblasted aluminium"].pivot(index="theta_i_deg", columns="theta_r_deg", values="brdf")
+    angles = [angle for angle in grid.columns if angle in grid.index]
+    square = grid.loc[angles, angles].to_numpy()
+    assert (square / square.T).max() < 1.12  # Helmholtz: this sample is reciprocal within 12 %
+    first = metals["aluminium (as received)"].iloc[0]  # 3.17056081e-3 W m^-2 sr^-1 at 15 and 89 degrees
+    expected = 3.17056081e-3 / (3463.986 * math.cos(math.radians(89)) * math.pi * (5 / 315) ** 2)
+    assert first["brdf"] == pytest.approx(expected, rel=1e-13)
+    assert (first["theta_r_deg"], first["theta_i_deg"], first["phi_r_deg"] - first["phi_i_deg"]) == (15, 89, 180)
+    frame = measurement.read(recipes.reflectance_factors(tmp_path))
+    assert len(frame) == 329 * 35
+    assert math.pi * frame["brdf"].iloc[0] == pytest.approx(0.7165, rel=1e-14)
+    for theta_i, group in frame[frame["flag"] == ""].groupby("theta_i_deg"):
+        peak = group.iloc[int(group["brdf"].argmax())]
+        assert abs(peak["theta_r_deg"] - theta_i) <= 1  # the step of the table at its peaks
+        assert peak["phi_r_deg"] == 180.0

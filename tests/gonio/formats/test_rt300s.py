@@ -195,21 +195,26 @@ def test_a_blank_that_is_named_is_subtracted_and_has_to_have_every_direction(tmp
     table, blank = tmp_path / "tile.xls", tmp_path / "dark.xls"
     table.write_bytes(workbook(SAMPLE))
     blank.write_bytes(workbook([[(*row[:3], 0.125) for row in sheet] for sheet in SAMPLE]))
-    plain, net = measurement.read(table), measurement.read(table, blank=blank)
+    plain = measurement.read(table)
+    named = tmp_path / "tile.columns.toml"
+    named.write_text('blank = "dark.xls"\n')
+    net = measurement.read(table)
     np.testing.assert_allclose(net["brdf"], plain["brdf"], rtol=1e-12)  # the smallest signal is zero either way
     assert any("blank subtracted: dark.xls" in note for note in net.attrs["notes"])
     assert net["u_brdf"].isna().all()  # nothing was measured twice
     blank.write_bytes(workbook(SAMPLE[:1]))
     with pytest.raises(DataError) as told:
-        measurement.read(table, blank=blank)
+        measurement.read(table)
     assert "directions were not measured with the blank" in str(told.value)
     assert "Measure the blank at them" in str(told.value)
+    named.write_text('blank = "away.xls"\n')
     with pytest.raises(ConfigError, match=r"away\.xls: the blank cannot be read"):
-        measurement.read(table, blank=tmp_path / "away.xls")
+        measurement.read(table)
     other = tmp_path / "a.csv"
     other.write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n1,0,2,0,0.3\n")
-    with pytest.raises(ConfigError, match="--blank is subtracted from RT-300S workbooks alone"):
-        measurement.read(other, blank=blank)
+    (tmp_path / "a.columns.toml").write_text('blank = "dark.xls"\n')
+    with pytest.raises(ConfigError, match=r"a\.columns\.toml: a blank is subtracted from RT-300S workbooks alone"):
+        measurement.read(other)
 
 
 def test_repeats_of_sample_and_blank_give_uncertainties(tmp_path: Path) -> None:
@@ -219,7 +224,8 @@ def test_repeats_of_sample_and_blank_give_uncertainties(tmp_path: Path) -> None:
     dark = [[(*d, 0.1 + rng.normal(0.0, 0.01)) for d in directions for _ in range(9)]]
     (tmp_path / "tile.xls").write_bytes(workbook(rows))
     (tmp_path / "dark.xls").write_bytes(workbook(dark))
-    frame = measurement.read(tmp_path / "tile.xls", blank=tmp_path / "dark.xls")
+    (tmp_path / "tile.columns.toml").write_text('blank = "dark.xls"\n')
+    frame = measurement.read(tmp_path / "tile.xls")
     # one signal of the sample, and the mean of nine of the blank; 36 and 96 degrees of freedom know them to 12 %
     expected = math.hypot(0.02, 0.01 / 3.0) / (math.pi * np.cos(np.deg2rad(frame["theta_r_deg"])))
     np.testing.assert_allclose(frame["u_brdf"], expected, rtol=0.36)

@@ -1,4 +1,4 @@
-"""ASTM E1392, NIST's Mueller CSV, the infrared in-plane CSV, reflectance factors, and our own table as a format."""
+"""ASTM E1392, NIST's Mueller CSV, and our own table as a format."""
 
 import gzip
 import math
@@ -33,17 +33,6 @@ NIST = """lambda,thetai,phi,thetar,phir,f_r11,f_r12/f_r11
 0.633,-45,0,0.001,0,3.16E-01,0.01
 0.633,-45,0,30,-90,3.10E-01,0.01
 0.351,-0.001,0,45,180,2.62E-01,0.01
-"""
-
-MWIR = """sample_de,sample_en,theta_o_deg,theta_i_deg,L_reflected_W_m-2_sr-1
-Alu,aluminium,15,60,1.0
-Messing,brass,15,0,2.0
-"""
-
-FACTOR = """ Incident_angle,Measure_angle, 500nm , 650nm
-10,-30,0.5,0.7
-10,-12,0,0
-10,10,27.5,31.0
 """
 
 
@@ -112,40 +101,7 @@ def test_nist_puts_the_source_where_its_negative_angle_says() -> None:
     assert any("Mueller" in note for note in frame.attrs["notes"])
 
 
-def test_infrared_radiance_becomes_brdf() -> None:
-    frame = measurement.parse(MWIR.encode(), Path("metals.csv"))
-    source = math.pi * 25 / 315**2
-    np.testing.assert_allclose(frame["brdf"], [1.0 / (3463.986 * 0.5 * source), 2.0 / (3463.986 * source)], rtol=1e-14)
-    assert (frame["phi_r_deg"] - frame["phi_i_deg"]).tolist() == [180.0, 180.0]  # opposite sides of the normal
-    assert frame["wavelength_nm"].isna().all()
-    assert frame.attrs["bands"] == [{"name": "2-5.7 um", "lower_nm": 2000.0, "upper_nm": 5700.0}]
-    assert frame.attrs["source_solid_angle_sr"] == pytest.approx(source, rel=1e-14)
-    assert frame.attrs["samples"] == ["aluminium", "brass"]
-    with pytest.raises(DataError, match="line 2: theta_i_deg = 90"):
-        measurement.parse(MWIR.replace(",60,", ",90,").encode(), Path("metals.csv"))
-
-
-def test_reflectance_factors_become_brdf() -> None:
-    frame = measurement.parse(FACTOR.encode(), Path("paint.csv"))
-    np.testing.assert_allclose(frame["brdf"] * math.pi, [0.5, 0.7, 0, 0, 27.5, 31.0], rtol=1e-15)
-    assert frame["phi_r_deg"].tolist() == [0.0] * 4 + [180.0] * 2  # positive is the mirror side
-    assert frame["flag"].tolist() == ["", "", "blocked", "blocked", "", ""]
-
-
-def test_reflectance_factor_round_trip(tmp_path: Path, small: pd.DataFrame) -> None:
-    plane = small[small["phi_r_deg"] != 90].reset_index(drop=True)
-    plane.loc[plane["theta_r_deg"] == 0, "phi_r_deg"] = 180.0  # a signed zero has no side
-    plane["flag"] = ["blocked" if flag else "" for flag in plane["flag"]]
-    measurement.write(plane, tmp_path / "f.csv", format="reflectance-factor")
-    back = measurement.read(tmp_path / "f.csv")
-    pd.testing.assert_frame_equal(back, plane, check_exact=False, rtol=1e-15)  # R = pi f is divided again
-    with pytest.raises(DataError, match="one plane"):
-        measurement.write(small, tmp_path / "g.csv", format="reflectance-factor")
-
-
-@pytest.mark.parametrize(
-    ("text", "name"), [(ASTM, "tile.astm"), (NIST, "ptfe.csv"), (MWIR, "metals.csv"), (FACTOR, "paint.csv")]
-)
+@pytest.mark.parametrize(("text", "name"), [(ASTM, "tile.astm"), (NIST, "ptfe.csv")])
 def test_damaged_files_are_named_errors_or_tables(text: str, name: str, survives: Callable[..., None]) -> None:
     survives(text.encode(), name)
 
@@ -173,32 +129,9 @@ def test_nist_ptfe(shared: Callable[[str], Path]) -> None:
     )  # README of the data; 16 azimuths spread by 1 %
 
 
-def test_infrared_metals(shared: Callable[[str], Path]) -> None:
-    metals = measurement.tables(shared("mwir_metals/mwir_inplane_reflected_radiance.csv"))
-    assert len(metals) == 8
-    assert {len(frame) for frame in metals.values()} == {890}
-    grid = metals["sandblasted aluminium"].pivot(index="theta_i_deg", columns="theta_r_deg", values="brdf")
-    angles = [angle for angle in grid.columns if angle in grid.index]
-    square = grid.loc[angles, angles].to_numpy()
-    assert (square / square.T).max() < 1.12  # Helmholtz: this sample is reciprocal within 12 %
-
-
-def test_reflectance_factor_table(shared: Callable[[str], Path]) -> None:
-    frame = measurement.read(shared("reflectance_factor_table/two_dimensional_reflectance_factor.csv"))
-    assert len(frame) == 329 * 35
-    for theta_i, group in frame[frame["flag"] == ""].groupby("theta_i_deg"):
-        peak = group.iloc[int(group["brdf"].argmax())]
-        assert abs(peak["theta_r_deg"] - theta_i) <= 1  # the step of the table at its peaks
-        assert peak["phi_r_deg"] == 180.0
-
-
 @pytest.mark.parametrize(
     ("text", "name", "old", "good", "bad", "told"),
     [
-        (MWIR, "metals.csv", ",15,60,", (",90,60,", ",-90,60,"), (",90.01,60,", ",-90.01,60,"), "theta_o_deg"),
-        (MWIR, "metals.csv", ",15,60,", (",15,89.99,", ",15,-89.99,"), (",15,89.9995,", ",15,-90,"), "theta_i_deg"),
-        (FACTOR, "paint.csv", "10,-30,", ("10,-90,", "10,90,"), ("10,-90.01,", "10,90.01,"), "Measure_angle"),
-        (FACTOR, "paint.csv", "10,-30,", ("90,-30,", "-90,-30,"), ("90.01,-30,", "-90.01,-30,"), "Incident_angle"),
         (NIST, "ptfe.csv", "-45,0,30,", ("-90,0,30,",), ("-90.01,0,30,", "90.01,0,30,"), "thetai"),
         (NIST, "ptfe.csv", "-45,0,30,", ("-45,0,90,", "-45,0,-90,"), ("-45,0,90.01,",), "thetar"),
         (NIST, "ptfe.csv", "0.351,", ("199.9,", "0.1,"), ("1000,", "0,", "-0.3,"), "lambda"),
@@ -221,9 +154,7 @@ def semicolons(text: str) -> str:
     return text.replace(",", ";").replace(".", ",")
 
 
-@pytest.mark.parametrize(
-    ("text", "name"), [(ASTM, "tile.astm"), (NIST, "ptfe.csv"), (MWIR, "metals.csv"), (FACTOR, "paint.csv")]
-)
+@pytest.mark.parametrize(("text", "name"), [(ASTM, "tile.astm"), (NIST, "ptfe.csv")])
 def test_line_ends_and_marks_of_other_systems(text: str, name: str) -> None:
     plain = measurement.parse(text.encode(), Path(name))
     others = [text.replace("\n", "\r\n"), text.replace("\n", "\r"), "\ufeff" + text]
@@ -254,7 +185,7 @@ def test_spellings_of_other_instruments(text: str, old: str, new: str) -> None:
     pd.testing.assert_frame_equal(other, plain, check_exact=True)
 
 
-@pytest.mark.parametrize("text", [ASTM, NIST, MWIR, FACTOR])
+@pytest.mark.parametrize("text", [ASTM, NIST])
 def test_columns_are_found_by_name(text: str) -> None:
     """The last column first: the order of columns means nothing."""
     plain = measurement.parse(text.encode(), Path("tile"))
@@ -269,7 +200,7 @@ def test_columns_are_found_by_name(text: str) -> None:
     pd.testing.assert_frame_equal(turned, ordered, check_exact=True)
 
 
-@pytest.mark.parametrize(("text", "cell"), [(ASTM, "0.250000"), (NIST, "3.10E-01"), (MWIR, "2.0"), (FACTOR, "0.7")])
+@pytest.mark.parametrize(("text", "cell"), [(ASTM, "0.250000"), (NIST, "3.10E-01")])
 @pytest.mark.parametrize("hole", ["", "nan", " NaN"])
 def test_an_empty_cell_is_a_hole_and_not_the_end(text: str, cell: str, hole: str) -> None:
     frame = measurement.parse(text.replace(cell, hole).encode(), Path("tile"))
