@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gonio import seals
-from gonio.errors import ConfigError, DataError
+from gonio.errors import ConfigError, DataError, GonioError
 from gonio.shown import one_line
 
 if TYPE_CHECKING:
     from gonio.typing import Array
 
+MAP_FORMAT, MAP_SUFFIXES = "gonio-map-1", (".h5", ".nc", ".hdf5")
+"""Of a map's file: its attribute `format`, and how its name ends."""
 MOST_LINKS = 20_000
 """Most groups and datasets that a file may have: each is looked at before anything is read."""
 FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
@@ -225,3 +228,27 @@ def factor(dataset: Any, wanted: str, shown: str) -> float:
     if not isinstance(text, str) or (plain := text.replace(" ", "").lower()) not in known:
         raise DataError(f"{shown} states units = {text!r:.40}; read are {', '.join(filter(None, known))}")
     return known[plain]
+
+
+def is_map(path: str | Path) -> bool:
+    """Whether a file is a map of ours, of values or of fits; `DataError` where it is HDF5 that cannot be read."""
+    if Path(path).suffix not in MAP_SUFFIXES or not Path(path).is_file():
+        return False
+    if not seals.look(path):
+        return False
+    with understood(f"{path}: is damaged"), opened(Path(path)) as file:
+        return bool(file.attrs.get("format") == MAP_FORMAT)
+
+
+@contextmanager
+def understood(what: str) -> Iterator[None]:
+    """Turn what h5py raises of a file that it makes no sense of into a `DataError`; want of memory names it, too."""
+    try:
+        yield
+    except GonioError:
+        raise
+    except MemoryError as error:
+        raise MemoryError(f"{what.rpartition(': ')[0]}: {error}") from None
+    except Exception as error:
+        reason = error.args[0] if isinstance(error, KeyError) and error.args else error  # its text has quotes
+        raise DataError(f"{what}: {reason}") from None

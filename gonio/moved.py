@@ -17,6 +17,12 @@ MOVED = {
         for name in ("follow", "provisional", "run_status", "shared", "watching", "worker", "picture")
     },
     "gonio.live": "gonio.lab.live",
+    "gonio.maps": "gonio_maps.files",
+    "gonio.models.batch": "gonio_maps.models.batch",
+    "gonio.models.batch_spectra": "gonio_maps.models.batch_spectra",
+    "gonio.reduction.maps": "gonio_maps.reduction.maps",
+    "gonio_analysis.maps": "gonio_maps.fits",
+    "gonio_analysis.maps.many_tables": "gonio_analysis.selection.many_tables",
     "gonio.acquisition.samples": "gonio.samples.files",
     "gonio.rig.textures": "gonio.samples.textures",
     "gonio.reduction.threads": "gonio.threads",

@@ -20,6 +20,7 @@ Group = Literal[
     "gonio.choosers",
     "gonio.exports",
     "gonio.records",
+    "gonio.rooms",
     "gonio.sections",
     "gonio.commands",
 ]
@@ -93,6 +94,19 @@ def load(group: Group, name: str) -> Any:
         return imported(points[name])
     except Broken as error:
         raise ConfigError(f'the {kind} "{name}" ({points[name].value}) cannot be loaded: {error}') from error
+
+
+def room(name: Literal["maps"]) -> Any:
+    """What an optional package does for the commands of others.
+
+    Raises
+    ------
+    ConfigError
+        It is not installed.
+    """
+    if name not in available("gonio.rooms"):
+        raise ConfigError(f"{name} come with the package gonio_{name}, which is not installed here")
+    return load("gonio.rooms", name)
 
 
 def in_file(name: str) -> bool:

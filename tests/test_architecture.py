@@ -16,13 +16,14 @@ PACKAGES = {
     "gonio_sim": ROOT / "sim" / "gonio_sim",
     "gonio_scenes": ROOT / "sim" / "gonio_scenes",
     "gonio_analysis": ROOT / "analysis" / "gonio_analysis",
+    "gonio_maps": ROOT / "analysis" / "gonio_maps",
     "gonio_watch": ROOT / "analysis" / "gonio_watch",
     "gonio_sweeps": ROOT / "analysis" / "gonio_sweeps",
     "gonio_validation": ROOT / "analysis" / "gonio_validation",
     "gonio_bluesky": ROOT / "drivers" / "gonio_bluesky",
 }
 GROUND = {
-    *(f"gonio.{name}" for name in ("config", "disk", "errors", "geometry", "maps", "platform", "shown", "typing")),
+    *(f"gonio.{name}" for name in ("config", "disk", "errors", "geometry", "platform", "shown", "typing")),
     *(f"gonio.{name}" for name in ("canvas", "hdf5", "lost", "seals")),
     *(f"gonio_analysis.{name}" for name in ("processes", "result_records")),
 }

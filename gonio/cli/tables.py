@@ -184,13 +184,13 @@ def _as_it_was(target: Path) -> Iterator[None]:
 
 def _textures(source: str, target: Path, more: object) -> None:
     """A map of fits as textures for renderers."""
-    from gonio.maps import is_map
-    from gonio.renderers import textures
+    from gonio import plugins
+    from gonio.hdf5 import is_map
 
     if more is not None or not is_map(source):
         what = "goes with --to alone" if more is not None else "is no map"
         raise ConfigError(f"{source}: {what}; --to {_TEXTURES} takes a map of fits (.h5), and writes a folder")
-    *remarks, done = textures.write(source, target)
+    *remarks, done = plugins.room("maps").textures(source, target)
     for remark in remarks:
         console.note(remark)
     _done(target, done)

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_maps.files import MapFile
 
 from gonio import hdf5, measurement
 from gonio.errors import DataError
 from gonio.formats.reader import table
-from gonio.maps import MapFile, is_map
+from gonio.hdf5 import is_map
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed (pip install gonio[hdf5])")
 ROWS = 6

@@ -17,11 +17,11 @@ from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.optical_constants import read_ior
 from gonio_analysis.fitting.parameters import declared
 from gonio_analysis.fitting.saving import save as save_fit
+from gonio_maps.models._batch_models import MODELS
 
 from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.models import build
-from gonio.models._batch_models import MODELS
 from tests.command_line import gonio, says
 from tests.gonio_analysis.synthetic import measure
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_analysis.report import frame, map_change
+from gonio_analysis.report import frame
 from gonio_analysis.report.drawing import Drawing
+from gonio_maps.report import map_change
 from gonio_validation import verify
 from gonio_validation.bench import coverage, coverage_campaign, maps, materials, scenes, speed_and_error
 from gonio_validation.papers.pictures import page as pictures

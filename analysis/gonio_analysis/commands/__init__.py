@@ -220,18 +220,20 @@ def report(
     png: Png = False,
 ) -> None:
     """Write the report of one run, or of a map: what is in every pixel."""
+
+    from gonio import plugins
     from gonio.errors import ConfigError
-    from gonio.maps import SUFFIXES, is_map
+    from gonio.hdf5 import MAP_SUFFIXES, is_map
     from gonio_analysis.commands import implementations
 
-    if out is None and run.is_file() and run.suffix in SUFFIXES:
+    if out is None and run.is_file() and run.suffix in MAP_SUFFIXES:
         raise ConfigError(f"{run}: the report on a map needs a folder: --out DIR")
     if is_map(run):
         fitting = {"radius": read_radius(radius), "ior": ior, "wavelength-nm": wavelength_nm, "metric": metric,
                    "u-rel": u_rel, "energy": energy or None, "separate": separate or None,
                    "png": png or None}  # fmt: skip
         unused = [name for name, value in fitting.items() if value is not None]
-        print(implementations.map_report(run, out, values, unused))
+        print(plugins.room("maps").report(run, out, values, unused))
         return
     if values is not None:
         raise ConfigError(f"--map {values}: goes with a map of fits; {run} is none")

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gonio import maps, measurement, shown
+from gonio import measurement, plugins, shown
 from gonio.cli import console
 from gonio.cli.options import remember
 from gonio.disk import check_writable
 from gonio.errors import ConfigError, Incomplete
-from gonio.maps import is_map
+from gonio.hdf5 import is_map
 from gonio.measurement import Reading
 from gonio.platform import command_line
 from gonio_analysis import report as comparison
@@ -29,14 +28,13 @@ from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_table
-from gonio_analysis.maps import fits
-from gonio_analysis.maps import many_tables as each_table
 from gonio_analysis.report import appearance as appearance_page
 from gonio_analysis.report import change as change_page
-from gonio_analysis.report import files, map_change, map_page
+from gonio_analysis.report import files
 from gonio_analysis.report import laboratories as laboratories_page
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, in_words, of_fit, reflectances
+from gonio_analysis.selection import many_tables as each_table
 
 if TYPE_CHECKING:
     from gonio.measurement import Reading
@@ -79,7 +77,7 @@ def fit_many(
         return False
     _require_plain("a map", asked, wanted, {**others, "--columns": how.columns})
     wanted.constants.require_of_all("a map")
-    fit_map(Path(table), out, asked, dask, materials, as_json=wanted.as_json)
+    plugins.room("maps").fit(Path(table), out, asked, dask, materials, as_json=wanted.as_json)
     return True
 
 
@@ -91,7 +89,7 @@ def _is_map(table: str, out: Path | None) -> bool:
     ConfigError
         `out` is given for what is none.
     """
-    found = maps.is_map(table)
+    found = is_map(table)
     if out is not None and not found:
         why = "is no map" if Path(table).exists() else "there is no such file"
         raise ConfigError(f"{table}: {why}; --out goes with a map, as gonio reduce RUN --map makes it")
@@ -139,49 +137,6 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
         f" {len(failed)} could not be fitted{first}"
     )
     print(out)
-
-
-def fit_map(
-    path: Path, out: Path | None, asked: FitRequest, dask: str | None, materials: str | None, *, as_json: bool
-) -> None:
-    """Fit every pixel of a map, and print what came out."""
-    if out is None:
-        raise ConfigError(f"{path}: is a map; name the file of its fits with --out FITS.h5")
-    with console.counter("fitting tiles", lines=True) as count:
-        fits.make(path, out, asked, materials=materials, dask=dask, count=count, say=console.note)
-    found = fits.summary(out)
-    if as_json:
-        print(json.dumps({"model": asked.model, "map": str(path), "out": str(out), **found.to_json()}, indent=1))
-        return
-    _print_map(found, f"{asked.model} on {path.name}")
-    if found.materials:
-        _print_materials(found)
-    print(out)
-
-
-def _print_map(found: fits.Summary, title: str) -> None:
-    rows = console.table("parameter", "median", "spread", "typical u", "", title=f"{title}: {found.pixels} pixels")
-    for name, one in found.parameters.items():
-        unit = "" if one.unit == "1" else f" {one.unit}"
-        masked = f"not determined in {one.undetermined} pixels, masked there" if one.undetermined else ""
-        numbers = [f"{v:.4g}{unit}" if math.isfinite(v) else "-" for v in (one.median, one.spread)]
-        rows.add_row(name, *numbers, f"{one.u:.2g}{unit}" if math.isfinite(one.u) else "-", masked)
-    share = 100.0 * found.rejected / max(found.fitted, 1)
-    misfit = f", their misfit {found.misfit:.2g} (median)" if found.rejected else ""
-    console.show(
-        rows,
-        f"fitted {found.fitted} of {found.pixels} pixels; the model is rejected in {share:.3g} % of them{misfit};"
-        f" a parameter is at its bound in {found.at_bound}",
-        "spread: half the distance between the 16th and the 84th percentile over the map",
-    )
-
-
-def _print_materials(found: fits.Summary) -> None:
-    rows = console.table("material", "pixels", "chi-square", *found.parameters, title="materials")
-    for k, one in enumerate(found.materials):
-        values = [with_u(one[f"material_{name}"], one[f"u_material_{name}"]) for name in found.parameters]
-        rows.add_row(str(k), f"{one['material_pixels']:.0f}", f"{one['material_chi_square']:.4g}", *values)
-    console.show(rows, "chi-square: a degree of freedom, of the values of a material's pixels fitted together")
 
 
 @dataclass(frozen=True)
@@ -315,15 +270,6 @@ def report(specs: list[str], out: Path, models: list[str], *, ior: list[str] | N
     )  # fmt: skip
 
 
-def map_report(path: Path, out: Path | None, values: Path | None, unused: list[str]) -> Path:
-    """The report on a map; `unused` names options that belong to fits."""
-    if out is None:
-        raise ConfigError(f"{path}: the report on a map needs a folder: --out DIR")
-    if unused:
-        raise ConfigError(f"--{unused[0]}: {path} is a map, of which nothing is fitted here; leave it out")
-    return map_page.make(path, out, values=values, command=command_line(), progress=console.note)
-
-
 def check_one_way(*, change: bool, laboratories: bool, unused: list[str], shared: bool) -> None:
     """`ConfigError` where options of one kind of comparison meet another."""
     if change and laboratories:
@@ -345,7 +291,8 @@ def change(specs: list[str], out: Path, wavelength_nm: float | None, u_rel: floa
     if all(maps):
         if u_rel is not None or wavelength_nm is not None:
             raise ConfigError("--u-rel and --wavelength-nm: maps of fits have their own; leave them out")
-        return map_change.make(specs, out, command=command_line(), progress=console.note)
+        made: Path = plugins.room("maps").change(specs, out)
+        return made
     if any(maps):
         raise ConfigError(f"--change compares two maps, or two tables: {specs[maps.index(False)]} is no map")
     check_u_rel(u_rel)

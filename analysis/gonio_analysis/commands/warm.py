@@ -22,10 +22,9 @@ def jobs() -> list[partial[Any]]:
     """A fit of every model to a few made values, and one for maps of every model that has it."""
     import numpy as np
 
-    from gonio import geometry
+    from gonio import plugins
     from gonio.formats.reader import attributes, table
-    from gonio.models import CookTorrance, batch
-    from gonio.models._batch_models import MODELS
+    from gonio.models import CookTorrance
     from gonio_analysis.fitting.parameters import declared
     from gonio_analysis.fitting.problem import FitRequest
     from gonio_analysis.fitting.spectrum import fit_table
@@ -38,9 +37,8 @@ def jobs() -> list[partial[Any]]:
         theta_i_deg=theta_i, phi_i_deg=0.0, theta_r_deg=theta_r, phi_r_deg=phi_r, wavelength_nm=550.0,
         brdf=brdf, u_brdf=0.01 * brdf, attrs=attributes(quantity="brdf"),
     )  # fmt: skip
-    source, camera = (1000.0 * geometry.direction(*towards[k : k + 2]) for k in (0, 2))
-    origin, values = np.zeros(1), brdf[None]
+    of_maps = plugins.room("maps").jobs(tuple(towards), brdf) if "maps" in plugins.available("gonio.rooms") else []
     return [
         *(partial(fit_table, made, FitRequest(name), name=name) for name in declared()),
-        *(partial(batch.fit, name, origin, origin, source, camera, values, 0.01 * values) for name in MODELS),
+        *of_maps,
     ]

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.checks.values import Rows
-from gonio.models.batch import SIGNIFICANCE
 from gonio.models.parameters import Values
 from gonio.progress import Pace, Say, silent
 from gonio.typing import Floats
@@ -23,7 +22,7 @@ from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import Problem
+from gonio_analysis.fitting.problem import SIGNIFICANCE, Problem
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules

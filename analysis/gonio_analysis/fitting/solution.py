@@ -20,15 +20,13 @@ from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelen
 from gonio_analysis.fitting.misfit import Misfit
 from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest, with_misfit
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import Problem
+from gonio_analysis.fitting.problem import SIGNIFICANCE, Problem
 from gonio_analysis.fitting.propagation import points_around
 from gonio_analysis.fitting.search import STEP, derivatives
 from gonio_analysis.fitting.unnoticed import unnoticed
 from gonio_analysis.fitting.value_covariance import Covariance
 from gonio_analysis.result_records import MisfitSummary, SharedGeometry, as_json
 
-SIGNIFICANCE = 0.01
-"""A model is rejected where noise alone makes so large a chi-square less often than this."""
 LOOSE = 0.3
 """Relative standard uncertainty above which slopes do not carry it any more: lobes are no straight functions."""
 ROUNDING = 1e-24

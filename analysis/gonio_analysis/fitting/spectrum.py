@@ -23,10 +23,10 @@ from gonio_analysis.fitting.fit import FitResult, at_solution, elsewhere, fit, k
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.misfit import estimated_tau
 from gonio_analysis.fitting.observations import Observations, observations
-from gonio_analysis.fitting.problem import FitRequest, Problem, pose
+from gonio_analysis.fitting.problem import SIGNIFICANCE, FitRequest, Problem, pose
 from gonio_analysis.fitting.search import LONG, covariance
 from gonio_analysis.fitting.shared_geometry import _Task
-from gonio_analysis.fitting.solution import ROUNDING, SIGNIFICANCE, residuals_on_log_scale
+from gonio_analysis.fitting.solution import ROUNDING, residuals_on_log_scale
 from gonio_analysis.result_records import SharedGeometry
 
 MOST_WAVELENGTHS = 40

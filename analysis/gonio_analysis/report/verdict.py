@@ -12,8 +12,8 @@ from gonio.shown import interval
 from gonio_analysis.fitting.energy import too_much
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.objective import DESCRIPTIONS
+from gonio_analysis.fitting.problem import SIGNIFICANCE
 from gonio_analysis.fitting.profile_likelihood import Interval
-from gonio_analysis.fitting.solution import SIGNIFICANCE
 from gonio_analysis.fitting.unnoticed import SMOOTH
 from gonio_analysis.report.blocks import Block, Notes, Paragraph, Text, table, term
 from gonio_analysis.report.facts import DatasetSummary

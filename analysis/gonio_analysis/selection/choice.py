@@ -22,9 +22,8 @@ from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import pose
+from gonio_analysis.fitting.problem import SIGNIFICANCE, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
-from gonio_analysis.fitting.solution import SIGNIFICANCE
 from gonio_analysis.selection.judging import (
     DECISIVE,
     MANY,

@@ -19,9 +19,8 @@ from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.objective import on_log_scale, smallest
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.fitting.problem import SIGNIFICANCE, FitRequest
 from gonio_analysis.fitting.profile_likelihood import Near
-from gonio_analysis.fitting.solution import SIGNIFICANCE
 from gonio_analysis.selection.regions import Region, farthest, incidences, worst
 
 FOLDS = 5

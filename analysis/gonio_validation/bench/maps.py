@@ -12,10 +12,11 @@ from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import files, frame
 from gonio_analysis.report.blocks import Heading, Page, Paragraph, Stamp, footer, lead, stamp
 from gonio_analysis.report.text import number
+from gonio_maps.models import batch
 from scipy.optimize import least_squares
 
 from gonio.geometry import Directions
-from gonio.models import batch, build
+from gonio.models import build
 from gonio.typing import Floats, JsonObject
 from gonio_validation.bench import maps_jax
 from gonio_validation.bench.page import Column, listed, part

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,8 +17,6 @@ from gonio.lab.commands.progress import on_screen
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from gonio.lab.reduction.maps import Written
 
 
 def measure(
@@ -100,6 +97,7 @@ def reduce(
     ] = None,
 ) -> None:
     """Reduce a run's frames to BRDF with uncertainty: RUN/brdf.csv, and its parts in RUN/budget.csv."""
+    from gonio import plugins
     from gonio.lab.acquisition.run import Run
     from gonio.lab.reduction import brdf
 
@@ -108,9 +106,7 @@ def reduce(
     if pixel_mm is not None and map_file is None:
         raise ConfigError("--pixel-mm is the size of a map's pixels: give --map OUT.h5 with it")
     if map_file is not None:
-        from gonio.lab.reduction import maps
-
-        maps.require(opened, map_file, pixel_mm)
+        plugins.room("maps").require(opened, map_file, pixel_mm)
     with console.counter("reducing", lines=True) as progress:
         found = brdf.reduce_in_parts(opened, progress=progress)
     table, verdict = found.table, ""
@@ -140,25 +136,7 @@ def reduce(
     for line in _checks(table.attrs["provenance"]["checks"]):
         console.show(line)
     if map_file is not None:
-        _show_map(map_file, maps.write(opened, found, map_file, pixel_mm, partial(console.counter, lines=True)))
-
-
-def _show_map(path: Path, written: Written) -> None:
-    """What a map has."""
-    rows, cols = written.shape
-    part = 100.0 * written.good / max(written.values, 1)
-    console.show(
-        f"{path}: {rows} x {cols} pixels of {written.pixel_mm:g} mm, {written.points} points;"
-        f" {part:.3g} % of the values on the sample without a flag"
-    )
-    if written.told:
-        console.show(
-            f"registered: the shifts of {written.told} points are told, the largest {written.largest_shift_mm:.2g} mm"
-        )
-    else:
-        console.show("not registered: the sample has too little texture to tell a shift")
-    for note in written.notes:
-        console.note(note)
+        plugins.room("maps").reduce(opened, found, map_file, pixel_mm)
 
 
 def _checks(found: Iterable[Mapping[str, Any]]) -> list[str]:

@@ -11,9 +11,10 @@ from typing import Any
 
 import numba
 import pytest
+from gonio_maps.models import _batch_gram, _batch_loops
 
 import gonio.models
-from gonio.models import Lambert, _batch_gram, _batch_loops, _compile
+from gonio.models import Lambert, _compile
 from gonio.models._compile import device, fingerprint, table
 
 MODULES = [f"gonio.models.{module.name}" for module in pkgutil.iter_modules(gonio.models.__path__)]

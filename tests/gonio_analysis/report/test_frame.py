@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from gonio_analysis import report
-from gonio_analysis.report import appearance, change, html, laboratories, map_change, map_page
+from gonio_analysis.report import appearance, change, html, laboratories
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
@@ -23,6 +23,7 @@ from gonio_analysis.report.blocks import (
     stamp,
 )
 from gonio_analysis.report.drawing import Figure
+from gonio_maps.report import map_change, map_page
 from gonio_validation import papers, verify
 from gonio_validation.bench import (
     coverage,
@@ -49,8 +50,8 @@ from gonio.models import build
 from tests.browser import CHROMIUM
 from tests.browser import Page as Tab
 from tests.gonio_analysis.changes.test_laboratories import measured
-from tests.gonio_analysis.map_files import fits, values
 from tests.gonio_analysis.synthetic import measure
+from tests.gonio_maps.map_files import fits, values
 from tests.gonio_validation.bench import test_coverage, test_sweeps
 
 SAMPLE = 'name = "gloss"\nmodel = "phong"\n[parameters]\nk_d = 0.3\nk_s = 0.5\nexponent = 30\n'

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 from gonio_analysis import report
 from gonio_analysis.fitting.problem import FitRequest
-from gonio_analysis.maps import fits as map_fits
 from gonio_analysis.report import (
     appearance,
     change,
@@ -20,9 +19,6 @@ from gonio_analysis.report import (
     files,
     html,
     laboratories,
-    map_layers,
-    map_page,
-    map_view,
     page,
     sample,
     viewer,
@@ -32,12 +28,14 @@ from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.section import Section
 from gonio_analysis.selection.compare import Dataset
+from gonio_maps.fits import fits as map_fits
+from gonio_maps.report import map_layers, map_page, map_view
 
 from gonio import lost, measurement, plugins
 from gonio.errors import DataError, Incomplete
 from gonio.models import OrenNayar, build
-from tests.gonio_analysis.maps import made as made_map
 from tests.gonio_analysis.synthetic import measure
+from tests.gonio_maps.fits import made as made_map
 
 
 def fails(*given: Any, **named: Any) -> Any:

@@ -16,17 +16,18 @@ from gonio_analysis.changes.laboratories import compared
 from gonio_analysis.changes.point_by_point import change, of_table
 from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.plots import diagnostics, in_plane, maps, pixels, style
-from gonio_analysis.report import budget, change_figures, checks, drawing, health, map_change, map_page
+from gonio_analysis.report import budget, change_figures, checks, drawing, health
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.result_records import ChecksSummary
 from gonio_analysis.selection.compare import examine
+from gonio_maps.report import map_change, map_page
 
 from gonio.formats.reader import MUELLER, U_MUELLER, table
 from gonio.models import build
 from gonio.run_facts import BudgetCurve, BudgetFacts, BudgetPart, HealthSummary
 from gonio.typing import Floats
-from tests.gonio_analysis.map_files import fits
 from tests.gonio_analysis.synthetic import facts_of, joined, measure
+from tests.gonio_maps.map_files import fits
 from tests.pictures import faults
 
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gonio_maps.models import batch
 from gonio_validation.bench import maps, maps_jax
-
-from gonio.models import batch
 
 pytestmark = pytest.mark.slow  # the engine compiles for a minute where it is not yet on the disk
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_maps.reduction.map_grid import grid
 
 from gonio.lab.reduction import light_and_lens
 from gonio.lab.reduction.count_rates import _around, _lines, _widened
 from gonio.lab.reduction.dark_signal import Darks
 from gonio.lab.reduction.geometry_errors import GeometryErrors, zero_u_deg
 from gonio.lab.reduction.light_and_lens import BEAM
-from gonio.lab.reduction.map_grid import grid
 from gonio.lab.rig import Pose, kinematics
 from gonio.lab.rig.calibration_use import Calibrated, CalibrationUse
 from gonio.lab.rig.description import Reference, RigDescription

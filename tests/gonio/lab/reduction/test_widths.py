@@ -4,13 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from gonio_maps.files import MapFile
+from gonio_maps.reduction import maps
 
 from gonio.lab.acquisition.measure import carry_out
 from gonio.lab.acquisition.run import Run
-from gonio.lab.reduction import maps
 from gonio.lab.reduction.brdf import reduce_in_parts
 from gonio.lab.rig.light_and_camera import Lamp
-from gonio.maps import MapFile
 from tests.gonio.lab.reduction.drawn_runs import rig
 from tests.gonio.lab.reduction.widths import MATTE, of_map, of_table, plan, silent, width, without_certificate
 

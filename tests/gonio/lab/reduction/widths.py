@@ -21,14 +21,14 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from gonio_maps.files import MapFile, Tile
+from gonio_maps.reduction import maps
 
 from gonio import instrument, models
 from gonio.lab.acquisition.measure import RigChoice, carry_out
 from gonio.lab.acquisition.plan import Plan, Point
 from gonio.lab.acquisition.run import Run
-from gonio.lab.reduction import maps
 from gonio.lab.reduction.brdf import Reduction, reduce_in_parts
-from gonio.maps import MapFile, Tile
 from gonio.samples.description import SampleDescription
 from gonio.typing import Floats
 from tests.gonio.lab.reduction.drawn_runs import rig, truth

@@ -1,0 +1,1 @@
+"""A BRDF in every pixel of a sample: `gonio reduce --map`, fits, pages, changes and textures of maps."""

@@ -1,0 +1,1 @@
+"""A map of values -> a map of fits."""

@@ -1,0 +1,1 @@
+"""Fits of very many pixels at once, compiled."""

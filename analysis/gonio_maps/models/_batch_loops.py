@@ -1,0 +1,492 @@
+"""The compiled part of `gonio_maps.models.batch`: one pixel after the other, its directions, starts and fits.
+
+A model comes in as six compiled functions (`_batch_steps.SHADE` and its like), so that all this is compiled once for
+all models. Indices: j values, a parameters that move, c common causes, p pixels. numba is imported with this module,
+which `batch` imports at its first fit.
+"""
+
+import functools
+
+import numpy as np
+from numba import types
+
+from gonio.compiled import njit
+from gonio.models._compile import fingerprint
+from gonio_maps.models._batch_algebra import (
+    OPTIONS,
+    copied,
+    inverted,
+    moments,
+    on_scale,
+    per_root,
+    slope_moments,
+    sum_of,
+    vectors,
+    viewing,
+)
+from gonio_maps.models._batch_misfit import nearest
+from gonio_maps.models._batch_models import FREE_BASE, FREE_LEVELS, FREE_LOBE
+from gonio_maps.models._batch_scaled import ABOVE, scaled
+from gonio_maps.models._batch_steps import (
+    CONSTANTS,
+    DERIVE,
+    LEVELS,
+    SHADE,
+    TAKE,
+    UNIT,
+    by_differences,
+    minimised,
+    room_for,
+)
+from gonio_maps.models._batch_sums import moments_by_sums, room_for_sums, summed, walked
+
+FAR_VALLEY = 100.0
+"""The second valley counts where its chi-square is at most this many times that of the first, plus this number."""
+CLOSE_VALLEY = 10.0
+"""An acceptable fit is followed by another start whose chi-square is at most this many times its own, plus 20."""
+CLOSE = 1000.0
+"""Or at most this: where values are few, valleys lie close together and the grid's steps cost less chi-square."""
+FLAT = 50.0
+"""Other rows of a valley are tried where chi-square is at most this much above an acceptable one."""
+UNCLEAR, AGAIN = 10.0, 10
+"""Below this many times an acceptable chi-square by some of the values, so many rows are compared by all of them."""
+NEAR_VALLEY, NEAR, NEARLY_FLAT = 3.0, 200.0, 5.0
+"""`CLOSE_VALLEY`, `CLOSE` and `FLAT` where what was found is rough, so that `_batch_scaled` looks for other valleys."""
+NARROWINGS = 3
+"""Steps of the width alone, before all parameters are fitted."""
+FEWEST_OF_SOME = 25
+"""Values that tell the start at least, where some of them do (`Batched.every`)."""
+LINEAR_BELOW = 0.05
+"""Part of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
+
+
+@viewing
+def levels_of(how, s0, sz, sg, sgg, sgz):  # type: ignore[no-untyped-def]
+    """Level of a lobe and base by least squares, both at least 0, from sums over the values."""
+    level, base = 1.0, 0.0
+    if how == FREE_LOBE:
+        level = sgz / sgg
+    elif how == FREE_BASE:
+        base = max((sz - sg) / s0, 0.0)
+    elif how == FREE_LEVELS:
+        det = s0 * sgg - sg * sg
+        if det > 1e-12 * s0 * sgg:
+            level, base = (s0 * sgz - sg * sz) / det, (sgg * sz - sg * sgz) / det
+        if base < 0.0 or det <= 1e-12 * s0 * sgg:
+            level, base = sgz / sgg, 0.0
+        if level < 0.0:
+            level, base = 0.0, max(sz / s0, 0.0)
+    return level, base
+
+
+@viewing
+def lowest_row(profile, first, step):  # type: ignore[no-untyped-def]
+    """Where chi-square is lowest of rows `first`, `first + step`, ...; a number wins over NaN."""
+    best = first
+    for row in range(first + step, profile.size, step):
+        if profile[row] < profile[best] or profile[best] != profile[best]:
+            best = row
+    return best
+
+
+@viewing
+def levelled(how, s0, sz, sg, sgg, sgz):  # type: ignore[no-untyped-def]
+    """The best level and base of a lobe, and by how much they lower chi-square below that of nothing."""
+    level, base = levels_of(how, s0, sz, sg, sgg, sgz)
+    return level, base, 2.0 * (level * sgz + base * sz - level * base * sg) - level * level * sgg - base * base * s0
+
+
+@viewing
+def weighed(z, w, weight, weighted, count):  # type: ignore[no-untyped-def]
+    """Weights and weighted values; their sums, and that of weighted squares."""
+    s0, sz, szz = 0.0, 0.0, 0.0
+    for j in range(count):
+        weight[j] = w[j] * w[j]
+        weighted[j] = weight[j] * z[j]
+        s0 += weight[j]
+        sz += weighted[j]
+        szz += weighted[j] * z[j]
+    return s0, sz, szz
+
+
+@viewing
+def judged(levels, how, by_sums, z, w, grid, starts, profile, weight, weighted, lobes, sums, turned, count):  # type: ignore[no-untyped-def]
+    """Parameters and chi-square of each row of the grid, into `starts` and `profile`.
+
+    Where levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares.
+    `lobes` has the lobes, row after row, or `by_sums` their constants.
+    """
+    s0, sz, szz = (sums[0], sums[10], sums[14]) if by_sums else weighed(z, w, weight, weighted, count)
+    for row in range(grid.shape[0]):
+        if by_sums:
+            sg, sgg, sgz = moments_by_sums(sums, lobes[4 * row : 4 * row + 4], turned)
+        else:
+            sg, sgg, sgz = moments(lobes[row * count : row * count + count], weight, weighted, count)
+        level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
+        profile[row] = szz - gain
+        start = starts[row]
+        copied(grid[row], start, 0, start.size)
+        levels(start, level, base)
+
+
+@viewing
+def judged_again(  # type: ignore[no-untyped-def]
+    shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, anew, weight, weighted, count
+):
+    """`judged` by all values, for the rows that are lowest by some of them; the others count as no lower than these.
+
+    `whole` has the lobes of all values, where `shaded_rows` is 1: neighbours with the same directions share them.
+    `anew`: room for the rows, their parameters and their lobes, which are evaluated in one call.
+    """
+    again, trials, fresh = anew
+    s0, sz, szz = weighed(z, w, weight, weighted, count)
+    highest, chosen, missing, size = -np.inf, 0, 0, starts.shape[1]
+    while chosen < min(AGAIN, profile.size):
+        row = -1
+        for other in range(profile.size):
+            if shaded_rows[other] < 2 and (row < 0 or profile[other] < profile[row]):
+                row = other
+        again[chosen] = row
+        if shaded_rows[row] == 0:
+            copied(units[row], trials, missing * size, size)
+            missing += 1
+        shaded_rows[row] += 2
+        chosen += 1
+    if missing:
+        shade(columns, trials[: missing * size], missing, fresh[: missing * count])
+    missing = 0
+    for row in again[:chosen]:
+        g = whole[row * count : row * count + count]
+        if shaded_rows[row] == 2:
+            copied(fresh[missing * count : missing * count + count], g, 0, count)
+            missing += 1
+        shaded_rows[row] = 3
+        sg, sgg, sgz = moments(g, weight, weighted, count)
+        level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
+        profile[row] = szz - gain
+        highest = max(highest, profile[row])
+        levels(starts[row], level, base)
+    for row in range(profile.size):
+        if shaded_rows[row] < 2:
+            profile[row] = max(profile[row], highest)
+        shaded_rows[row] = min(shaded_rows[row], 1)
+
+
+@viewing
+def valleys(profile, widths):  # type: ignore[no-untyped-def]
+    """The rows of the two lowest valleys of chi-square over the grid's widths, which run fastest; -1 for none."""
+    first, second = -1, -1
+    for a in range(widths):
+        here = lowest_row(profile, a, widths)
+        low = a == 0 or profile[here] <= profile[lowest_row(profile, a - 1, widths)]
+        low = low and (a == widths - 1 or profile[here] < profile[lowest_row(profile, a + 1, widths)])
+        if low and (first < 0 or profile[here] < profile[first]):
+            first, second = here, first
+        elif low and (second < 0 or profile[here] < profile[second]):
+            second = here
+    if second >= 0 and profile[second] > FAR_VALLEY * (profile[first] + 1.0):
+        second = -1
+    return first, second
+
+
+@viewing
+def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weight, weighted, lobe, g, d, trial, count):  # type: ignore[no-untyped-def]
+    """Brings the width of a start towards the lowest chi-square by Gauss-Newton steps, each with the best levels.
+
+    That is variable projection (Golub and Pereyra 1973) with Kaufman's derivative: levels are taken out of the values
+    and of the derivative by linear least squares. `lobe` is that of the start; `g`, `d` and `trial` are changed.
+    """
+    s0, sz, best = sum_of(weight, count), sum_of(weighted, count), -np.inf
+    copied(start, trial, 0, start.size)
+    how = unit(trial)
+    for turn in range(NARROWINGS + 1):
+        if turn:
+            shade(columns, trial, 1, g)
+        else:
+            copied(lobe, g, 0, count)
+        sg, sgg, sgz = moments(g, weight, weighted, count)
+        level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
+        if not gain > best:
+            break
+        best = gain
+        copied(trial, start, 0, start.size)
+        levels(start, level, base)
+        if turn == NARROWINGS:
+            break
+        derive(columns, trial, width, g, d)
+        sd, sdd, sgd, sdz = slope_moments(g, d, weight, weighted, count)
+        if base > 0.0:
+            sdd, sgd, sgg, sdz = sdd - sd * sd / s0, sgd - sg * sd / s0, sgg - sg * sg / s0, sdz - sd * sz / s0
+        bend = sdd if how == FREE_BASE else sdd - sgd * sgd / sgg
+        if not (level > 0.0 and bend > 0.0):
+            break
+        step = (sdz - level * sgd) / (level * bend)
+        trial[width] = min(max(trial[width] + step, low, 0.5 * trial[width]), high, 2.0 * trial[width])
+
+
+@vectors
+def seen_from(x, y, source, camera, count, omega_i, omega_r):  # type: ignore[no-untyped-def]
+    """Unit vectors from a place to source and camera of each value."""
+    for j in range(count):
+        dx, dy, dz = source[0, j] - x, source[1, j] - y, source[2, j]
+        inverse = per_root(dx * dx + dy * dy + dz * dz)
+        omega_i[3 * j], omega_i[3 * j + 1], omega_i[3 * j + 2] = dx * inverse, dy * inverse, dz * inverse
+        dx, dy, dz = camera[0, j] - x, camera[1, j] - y, camera[2, j]
+        inverse = per_root(dx * dx + dy * dy + dz * dz)
+        omega_r[3 * j], omega_r[3 * j + 1], omega_r[3 * j + 2] = dx * inverse, dy * inverse, dz * inverse
+
+
+@viewing
+def taken(values, u, z, own, w, at):  # type: ignore[no-untyped-def]
+    """Packs the values that have an uncertainty: how many there are, and whether they are those of before."""
+    count, moved = 0, 0
+    for j in range(values.size):
+        count += 1 if u[j] > 0.0 and values[j] - values[j] == 0.0 else 0
+    if count == values.size:  # without a branch a value
+        for j in range(count):
+            moved |= at[j] ^ j
+            at[j] = j
+            z[j], own[j], w[j] = values[j], u[j], 1.0 / u[j]
+        return count, moved == 0
+    count = 0
+    for j in range(values.size):
+        if u[j] > 0.0 and values[j] - values[j] == 0.0:
+            moved |= at[count] ^ j
+            at[count] = j
+            z[count], own[count], w[count] = values[j], u[j], 1.0 / u[j]
+            count += 1
+    return count, moved == 0
+
+
+REAL, WHOLE = types.float64, types.int64
+RESULT = types.int64(
+    *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS, CONSTANTS)),
+    *(WHOLE, REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1]),
+    *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1], WHOLE, WHOLE),
+    *(REAL[::1], WHOLE[::1]),
+    *(REAL[:, ::1], REAL[:, :, ::1], REAL[::1], REAL[::1], WHOLE[::1], WHOLE, WHOLE),
+)
+
+
+@viewing
+def lower_of(found, best, end, theta, matrix, around, moves, triangle, spread):  # type: ignore[no-untyped-def]
+    """The lower chi-square of two; where it is that of `end`, this is brought into `theta`, `around` and `spread`."""
+    if not found < best:
+        return best
+    copied(end, theta, 0, end.size)
+    for a in range(moves.size):
+        copied(matrix[a], around[a], 0, moves.size)
+    inverted(matrix, moves, triangle, spread)
+    return found
+
+
+@viewing
+def lowest(  # type: ignore[no-untyped-def]
+    shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid, axis, free, lower, upper,
+    acceptable, rows, of_grid, work, matrix, around, moves, triangle, end, theta, spread, rooms, count,
+):  # fmt: skip
+    """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`.
+
+    `axis`: what `unit` tells, how many widths the grid has, which parameter the width is, or -1, whether all goes
+    `by_sums`, and the scales and the pair of parameters for `scaled`.
+    """
+    (how, widths, width, by_sums, scales, pair), (room, on_sums) = axis, rooms
+    # a call of more than 30 arguments makes numba warn
+    lobes, units, whole, shaded_rows, anew, starts, profile = of_grid
+    f, weight, weighted, sums, turned = rows[0, :count], rows[1], rows[2], on_sums[0], on_sums[4]
+    if by_sums:
+        summed(columns, z, w, count, sums)
+    judged(
+        levels, how, by_sums, some_z, some_w, grid, starts, profile, weight, weighted, lobes, sums, turned, some_z.size
+    )
+    for row in range(profile.size):
+        profile[row] *= count / some_z.size
+    if some_z.size < count and profile[lowest_row(profile, 0, 1)] < UNCLEAR * acceptable:
+        judged_again(
+            shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, anew, weight, weighted,
+            count,
+        )  # fmt: skip
+    first, second = valleys(profile, widths)
+    best, found, which, times, close, more = np.inf, np.inf, first, CLOSE_VALLEY, CLOSE, FLAT
+    while which >= 0:
+        if best <= acceptable and profile[which] > max(times * best + 20.0, close):
+            break
+        if width >= 0 and not by_sums:
+            narrowed(
+                shade, derive, unit, levels, columns, starts[which], width, lower[width], upper[width], weight,
+                weighted, lobes[which * count : which * count + count], f, work[0, :count], end, count,
+            )  # fmt: skip
+        for a in range(end.size):
+            end[a] = min(max(starts[which, a], lower[a]), upper[a])
+        if by_sums:
+            for values in (0, count):
+                found = walked(
+                    constants, columns, z, w, end, free, lower, upper, matrix, moves, triangle, on_sums, values
+                )
+        else:
+            found = minimised(
+                shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
+                count, best, theta, around,
+            )  # fmt: skip
+        best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
+        rough = scales.size and theta[pair[0]] > scales[1]
+        if rough:
+            times, close, more = NEAR_VALLEY, NEAR, NEARLY_FLAT
+        block, flat = which - which % widths, min(best, acceptable) + more
+        for row in range(block, block + widths):
+            other = abs(row - which) > 1 and profile[row] < flat
+            if not (other or (row == second and which == first)):
+                profile[row] = np.inf
+        profile[which] = np.inf
+        if rough and best <= acceptable:
+            for row in range(profile.size):
+                if grid[row, pair[0]] > scales[1]:
+                    profile[row] = np.inf
+        which = lowest_row(profile, 0, 1)  # the second valley, or one of another index or another sigma
+        which = which if profile[which] < np.inf else -1
+    start = starts[0]
+    for a in range(free.size):  # a bound that a search ended on may hide the valley inside
+        if lower[free[a]] < theta[free[a]] < upper[free[a]]:
+            continue
+        for row in range(grid.shape[0]):
+            value = grid[row, free[a]]
+            new = lower[free[a]] < value < upper[free[a]]
+            for before in range(row):
+                new = new and grid[before, free[a]] != value
+            if new:
+                copied(theta, start, 0, end.size)
+                start[free[a]] = value
+                copied(start, end, 0, end.size)
+                if width >= 0 and not by_sums:
+                    unit(end)
+                    shade(columns, end, 1, work[1, :count])
+                    narrowed(
+                        shade, derive, unit, levels, columns, start, width, lower[width], upper[width], weight,
+                        weighted, work[1, :count], f, work[0, :count], end, count,
+                    )  # fmt: skip
+                for b in range(end.size):
+                    end[b] = min(max(start[b], lower[b]), upper[b])
+                found = minimised(
+                    shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
+                    count, best, theta, around,
+                )  # fmt: skip
+                best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
+    if scales.size and (best > acceptable or theta[pair[0]] > scales[1]):
+        others, count_of_others, promised = scaled(
+            shade, derive, columns, z, w, relative, theta, free, lower, upper, around, best, found == best, scales,
+            pair, room, work, count,
+        )  # fmt: skip
+        for row in range(count_of_others):
+            if promised[row] < best + ABOVE:
+                copied(others[row], end, 0, end.size)
+                found = minimised(
+                    shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
+                    count, best, theta, around,
+                )  # fmt: skip
+                best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
+    return best
+
+
+def fit_pixels(  # type: ignore[no-untyped-def]
+    take, shade, derive, unit, levels, constants, count_of_columns, x, y, source, camera, values, u, common, free,
+    lower, upper, grid, widths, numbers, critical, every, width, scales, pair, theta, spread, chi, tau, used, start,
+    stop,
+):  # fmt: skip
+    """Fit pixels `start` to `stop`, one after the other; see `gonio_maps.models.batch.fit`."""
+    n, k, r, size = values.shape[1], free.size, common.shape[0], grid.shape[1]
+    omega_i, omega_r, packed = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
+    z, w, own, at = np.empty(n), np.empty(n), np.empty(n), np.full(n, -1, np.int64)
+    of_causes, of_blocks, rows = np.empty(r * n), np.empty(numbers.shape[0] * n, np.int64), np.empty((3, n))
+    work, starts, matrix = np.empty((k + r + 3, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
+    triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
+    around = np.empty((k, k))
+    whole, shaded_rows = np.empty(grid.shape[0] * n), np.zeros(grid.shape[0], np.int64)
+    anew = np.empty(AGAIN, np.int64), np.empty(AGAIN * size), np.empty(AGAIN * n)
+    logarithms, measured, small = np.empty(size), z, 0.0
+    lobes, units, how, before = np.empty(grid.shape[0] * max(n, 4)), grid.copy(), 0, -1
+    few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
+    few_z, few_w, source_of, camera_of = np.empty(n), np.empty(n), np.empty((3, n)), np.empty((3, n))
+    on_sums = room_for_sums(k, size)
+    by_sums = r == 0 and constants(lower, -1, on_sums[1]) == 1
+    room = room_for(k, r, size, n, by_differences(derive, packed, free, lower, upper))
+    for row in range(grid.shape[0]):
+        how = unit(units[row])
+        if by_sums:
+            constants(units[row], -1, lobes[4 * row : 4 * row + 4])
+    columns, relative, block = packed[:0], of_causes[:0].reshape((r, 0)), of_blocks[:0].reshape((numbers.shape[0], 0))
+    for p in range(start, stop):
+        count, same = taken(values[p], u[p], z, own, w, at)
+        used[p] = count
+        chi[p], tau[p], theta[p], spread[p] = np.nan, 0.0, np.nan, np.nan
+        same = same and count == before
+        if not same:
+            columns = packed[: count_of_columns * count]
+            relative = of_causes[: r * count].reshape((r, count))
+            block = of_blocks[: numbers.shape[0] * count].reshape((numbers.shape[0], count))
+            for j in range(count):
+                source_of[:, j], camera_of[:, j], relative[:, j] = source[:, at[j]], camera[:, at[j]], common[:, at[j]]
+                block[:, j] = numbers[:, at[j]]
+        if count <= k:
+            before = -1
+            continue
+        fresh = not same or x[p] != x[p - 1] or y[p] != y[p - 1]
+        if fresh:
+            seen_from(x[p], y[p], source_of, camera_of, count, omega_i, omega_r)
+            take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)
+        before = count
+        step = every if count >= FEWEST_OF_SOME * every else 1
+        some, some_z, some_w = columns, z[:count], w[:count]
+        if step > 1:
+            m = (count + step - 1) // step
+            some, some_z, some_w = few[: count_of_columns * m], few_z[:m], few_w[:m]
+            for j in range(m):
+                some_z[j], some_w[j] = z[j * step], w[j * step]
+                few_i[3 * j : 3 * j + 3] = omega_i[3 * j * step : 3 * j * step + 3]
+                few_r[3 * j : 3 * j + 3] = omega_r[3 * j * step : 3 * j * step + 3]
+            if fresh:
+                take(few_i[: 3 * m], few_r[: 3 * m], lower, some)
+        if fresh and not by_sums:
+            shaded_rows[:] = 0
+            shade(some, units.ravel(), grid.shape[0], lobes[: grid.shape[0] * some_z.size])
+        chi[p] = lowest(
+            shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid,
+            (how, widths, width, by_sums, scales, pair), free, lower, upper, critical[count], rows,
+            (lobes, units, whole, shaded_rows, anew, starts, profile), work, matrix, around, moves, triangle, end,
+            theta[p], spread[p], (room, on_sums), count,
+        )  # fmt: skip
+        if chi[p] > critical[count]:
+            # where a narrow lobe lies beside the values, their logarithms lead towards it
+            small = max(LINEAR_BELOW * np.median(np.abs(z[:count])), 1e-300)
+            measured = z[:count].copy()
+            for j in range(count):
+                z[j], w[j] = on_scale(measured[j], small), 1.0
+            copied(theta[p], logarithms, 0, size)
+            minimised(
+                shade, derive, columns, z, w, small, relative[:0], logarithms, free, lower, upper, rows[0, :count],
+                work, matrix, moves, room, count, np.inf, end, around,
+            )  # fmt: skip
+            for j in range(count):
+                z[j], w[j] = measured[j], 1.0 / own[j]
+            copied(logarithms, end, 0, size)
+            found = minimised(
+                shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, rows[0, :count], work,
+                matrix, moves, room, count, chi[p], theta[p], around,
+            )  # fmt: skip
+            if found < chi[p]:
+                chi[p] = found
+                copied(end, theta[p], 0, size)
+                inverted(matrix, moves, triangle, spread[p])
+        if chi[p] > critical[count]:
+            copied(logarithms, theta[p], 0, size)
+            tau[p] = nearest(
+                shade, derive, columns, measured, own[:count], z[:count], w[:count], small, relative, theta[p], free,
+                lower, upper, rows[0, :count], work, block, spread[p], moves, room, count,
+            )  # fmt: skip
+    return 0
+
+
+@functools.cache
+def engine():  # type: ignore[no-untyped-def]
+    """`fit_pixels`, compiled: half a minute where it is not on the disk."""
+    fit_pixels.__name__ = fit_pixels.__qualname__ = f"fit_pixels_{fingerprint(fit_pixels)}"
+    return njit(*RESULT.args, **OPTIONS)(fit_pixels)

@@ -1,0 +1,158 @@
+"""Very many tables in one process: `gonio fit --each FOLDER|LIST`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.selection import many_tables
+
+from gonio import measurement
+from gonio.errors import ConfigError
+from gonio.measurement import Reading
+from gonio.models import CookTorrance, Lambert
+from tests.command_line import gonio
+from tests.gonio_analysis.synthetic import measure
+
+ASKED = FitRequest("oren-nayar")
+
+
+def tables(folder: Path, count: int = 3) -> Path:
+    """A folder of tables."""
+    folder.mkdir(exist_ok=True)
+    for k in range(count):
+        measurement.write(measure(Lambert(0.2 + 0.1 * k), seed=k), folder / f"t{k}.csv")
+    return folder
+
+
+def made(folder: Path, out: Path, asked: FitRequest = ASKED) -> many_tables.Outcome:
+    """Fit them."""
+    return many_tables.make(str(folder), out, asked, Reading(), count=lambda done, total: None)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """What a table of fits holds."""
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.slow
+def test_a_row_is_what_the_fit_of_its_table_says(tmp_path: Path) -> None:
+    folder = tables(tmp_path / "tables")
+    gloss = CookTorrance(s=0.4, d=0.6, m=0.3, diffuse_albedo=0.5, ior=1.5)
+    measurement.write(measure(gloss, seed=5, reference=0.01, cone_sr=1e-3), folder / "gloss.csv")
+    gonio(tmp_path, "fit", "--each", "tables", "--model", "oren-nayar", "--out", "fits.csv", expect=0)
+    found = rows(tmp_path / "fits.csv")
+    assert [row["table"] for row in found] == [f"tables/{name}.csv" for name in ("gloss", "t0", "t1", "t2")]
+    for row in found:
+        alone = json.loads(gonio(tmp_path, "fit", row["table"], "--model", "oren-nayar", "--json", expect=0).stdout)
+        assert float(row["chi_square"]) == alone["reduced_chi_square"]
+        assert int(row["n"]) == alone["n_points"]
+        for name in ("albedo", "sigma_deg"):
+            u = alone["parameters"][name]["u"]
+            assert float(row[name]) == alone["parameters"][name]["value"]
+            assert row[f"u_{name}"] == ("" if u is None else repr(u))
+    assert found[0]["flag"].startswith("rejected")
+    assert float(found[0]["misfit"]) > 0.05
+    assert all(float(row["misfit"]) == 0.0 for row in found[1:])
+
+
+@pytest.mark.slow
+def test_what_cannot_be_read_or_fitted_is_a_row(tmp_path: Path) -> None:
+    folder = tables(tmp_path / "tables", 1)
+    (folder / "junk.csv").write_bytes(b"\xff\x00no table")
+    (folder / "empty.csv").write_bytes(b"")
+    measurement.write(measure(Lambert(0.3)).head(2), folder / "few.csv")
+    (tmp_path / "list.txt").write_text(
+        "# tables\ntables/t0.csv\ntables/junk.csv\n\ntables/empty.csv\ntables/few.csv\ntables/none.csv\n"
+    )
+    ended = gonio(tmp_path, "fit", "--each", "list.txt", "--model", "oren-nayar", "--out", "fits.csv", expect=0)
+    assert "fitted 1 of 5" in ended.stdout
+    assert "4 could not be fitted" in ended.stdout
+    found = {row["table"]: row["flag"] for row in rows(tmp_path / "fits.csv")}
+    assert not found["tables/t0.csv"].startswith("not fitted")
+    for name in ("junk", "empty", "few", "none"):
+        assert found[f"tables/{name}.csv"].startswith("not fitted: "), name
+    assert "at least 3 are needed" in found["tables/few.csv"]
+
+
+def test_rows_that_are_done_are_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, out = tables(tmp_path / "tables"), tmp_path / "fits.csv"
+    assert made(folder, out).before == 0
+    whole = out.read_bytes()
+    fitted: list[str] = []
+    once = many_tables._rows
+
+    def noted(job: many_tables._Job) -> list[many_tables.Row]:
+        fitted.append(Path(job.table).name)
+        return once(job)
+
+    monkeypatch.setattr(many_tables, "_rows", noted)
+    assert made(folder, out).before == 3
+    assert out.read_bytes() == whole
+    assert fitted == []
+    measurement.write(measure(Lambert(0.7)), folder / "t1.csv")
+    made(folder, out)
+    assert fitted == ["t1.csv"]
+    made(folder, out, FitRequest("oren-nayar", searches=2))
+    assert fitted[1:] == ["t0.csv", "t1.csv", "t2.csv"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from gonio.measurement import Reading
+from gonio_analysis.fitting.problem import FitRequest
+from gonio_analysis.maps import many_tables
+def dies(done, total):
+    if done == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+many_tables.make(sys.argv[1], Path(sys.argv[2]), FitRequest("oren-nayar"), Reading(), count=dies)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is of POSIX")
+def test_what_was_killed_goes_on_and_is_the_same_to_the_byte(tmp_path: Path) -> None:
+    folder, out, whole = tables(tmp_path / "tables"), tmp_path / "fits.csv", tmp_path / "whole.csv"
+    made(folder, whole)
+    ended = subprocess.run([sys.executable, "-c", KILLED, folder, out], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    assert not out.exists()
+    part = tmp_path / "fits.csv.part"
+    with open(part, "ab") as file:
+        file.write(f"{folder}{os.sep}t2.csv,synth".encode())  # a line that was torn
+    assert made(folder, out).before == 2
+    assert out.read_bytes() == whole.read_bytes()
+    assert not part.exists()
+
+
+def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
+    tables(tmp_path / "tables", 1)
+    (tmp_path / "nothing").mkdir()
+    (tmp_path / "mine.csv").write_text("a,b\n1,2\n")
+    command = ("fit", "--model", "oren-nayar")
+    cases: dict[tuple[str, ...], str] = {
+        (): "name a TABLE",
+        ("--each", "tables"): "--out TABLE.csv",
+        ("--each", "tables", "--out", "fits.h5"): "ends in .csv",
+        ("--each", "tables", "--out", "mine.csv"): "choose another --out",
+        ("--each", "nothing", "--out", "fits.csv"): "names no table",
+        ("--each", "missing", "--out", "fits.csv"): "a folder, or a text file",
+        ("--each", "tables", "--joint", "--out", "fits.csv"): "--joint: has no part",
+        ("--each", "tables", "--fix", "m=1", "--out", "fits.csv"): "m",
+        ("tables/t0.csv", "--out", "fits.csv"): "is no map",
+        ("tables/t0.csv", "--dask", "tcp://127.0.0.1:9"): "--dask: goes with a map",
+    }
+    for options, message in cases.items():
+        assert message in gonio(tmp_path, *command, *options, expect=2).stderr, options
+    assert (tmp_path / "mine.csv").read_text() == "a,b\n1,2\n"
+    with pytest.raises(ConfigError, match="names no table"):
+        many_tables.listed(str(tmp_path / "nothing"))
