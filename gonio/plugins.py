@@ -5,7 +5,7 @@ import functools
 import sys
 import zlib
 from importlib.metadata import EntryPoint, entry_points
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
@@ -25,6 +25,13 @@ Group = Literal[
     "gonio.commands",
 ]
 
+ROOMS: dict[Group, dict[str, str]] = {
+    "gonio.commands": {"watch": "gonio_watch", "render": "gonio_scenes", "photograph": "gonio_scenes"},
+    "gonio.choosers": dict.fromkeys(("curve", "models", "parameters"), "gonio_sweeps"),
+    "gonio.exports": {"bluesky": "gonio_bluesky"},
+    "gonio.rooms": {"maps": "gonio_maps"},
+}
+"""What comes with packages that may be left out."""
 
 _added: dict[tuple[Group, str], EntryPoint] = {}
 """What this process brings itself, beside what is installed."""
@@ -87,6 +94,9 @@ def load(group: Group, name: str) -> Any:
     kind = kind_of(group)
     if in_file(name):
         return _of_file(kind, name)
+    missing = left_out(group, name)
+    if missing:
+        raise ConfigError(missing)
     if name not in points:
         hint = did_you_mean(name, points, f"installed: {', '.join(points) or 'none'}")
         raise ConfigError(f'there is no {kind} named "{name}"; {hint}')
@@ -97,16 +107,16 @@ def load(group: Group, name: str) -> Any:
 
 
 def room(name: Literal["maps"]) -> Any:
-    """What an optional package does for the commands of others.
-
-    Raises
-    ------
-    ConfigError
-        It is not installed.
-    """
-    if name not in available("gonio.rooms"):
-        raise ConfigError(f"{name} come with the package gonio_{name}, which is not installed here")
+    """What an optional package does for the commands of others; raises `ConfigError` where it is not installed."""
     return load("gonio.rooms", name)
+
+
+def left_out(group: Group, name: str) -> str:
+    """Why something that comes with an optional package is not there, in words; "" where that is not the reason."""
+    package = ROOMS.get(group, {}).get(name)
+    if package is None or find_spec(package) is not None:
+        return ""
+    return f'the {kind_of(group)} "{name}" comes with the package {package}, which is not installed here'
 
 
 def in_file(name: str) -> bool:

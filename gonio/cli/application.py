@@ -209,12 +209,17 @@ def _in_order(points: Mapping[str, Any]) -> type[typer.core.TyperGroup]:
     """The group of commands: ours and plug-ins', in the order of `ORDER`, each loaded when it is asked for."""
     import typer
 
+    from gonio import plugins
+
     class InOrder(typer.core.TyperGroup):
         def list_commands(self, ctx: Any) -> list[str]:
-            names = {*super().list_commands(ctx), *points}
+            names = {n for n in (*super().list_commands(ctx), *points) if not plugins.left_out("gonio.commands", n)}
             return [n for n in ORDER if n in names] + sorted(names.difference(ORDER))
 
         def get_command(self, ctx: Any, cmd_name: str) -> Any:
+            missing = plugins.left_out("gonio.commands", cmd_name)
+            if missing:
+                raise ConfigError(missing)
             known = cmd_name in self.commands or cmd_name in points
             for name in [cmd_name] if known else points:  # all for an unknown name: one is suggested
                 if name in points and name not in self.commands:

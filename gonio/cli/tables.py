@@ -57,7 +57,8 @@ def convert(
             _export(source, target, target_format, source_format or columns or wavelength_nm)
             return
         elif target_format not in known:
-            raise ConfigError(_unknown(target_format, known, list(exports)))
+            missing = plugins.left_out("gonio.exports", target_format)
+            raise ConfigError(missing or _unknown(target_format, known, list(exports)))
     if source.endswith(".toml"):
         for name, given in (("columns", columns), ("wavelength-nm", wavelength_nm)):
             if given is not None:
