@@ -51,7 +51,7 @@ FILLING = {
     "under": "smaller than the region of interest (underfilled)",
 }
 """How large the beam is on the sample, by what the provenance of a table calls it."""
-BOTH = ("beam", "dark", "geometry", "polarisation")
+BOTH = ("beam", "dark", "geometry", "polarisation", "prnu")
 """Causes of which a part is common to all values, and each value has a part of its own."""
 SHOWN = {
     "dark": "dark frames",

@@ -336,7 +336,7 @@ def _variables(
         ),
     }  # fmt: skip
     for name in table.columns:
-        if name.startswith("s_") and not name.startswith("s_dark_"):
+        if name.startswith("s_") and not name.startswith(("s_dark_", "s_prnu_")):
             with np.errstate(divide="ignore", invalid="ignore"):
                 change = table[name].to_numpy(dtype=float) / brdf
             if name == "s_reference_noise":

@@ -23,7 +23,7 @@ from gonio.lab.reduction.dark_signal import PATTERNS
 from gonio.lab.reduction.merging import FALSE_ALARMS, noise_is_known
 from gonio.lab.reduction.reference_table import brdf_of_reference, u_of_reference
 from gonio.lab.reduction.step_rates import Reduced, Rejected
-from gonio.lab.reduction.table import DARK, GEOMETRY, LAMP, POLARISATION, assemble, assemble_budget, left_out
+from gonio.lab.reduction.table import DARK, GEOMETRY, LAMP, POLARISATION, PRNU, assemble, assemble_budget, left_out
 from gonio.lab.reduction.values import BandResult, Cause, MeasuredBand, Values, joined, share
 from gonio.lab.rig import calibration_files
 from gonio.lab.rig.light_and_camera import Band
@@ -70,11 +70,12 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         ended before).
         Causes: `s_reference` (the certificate), `s_reference_noise` (mean level of the visits), `s_lamp_drift`, from
         three visits on `s_lamp_wander_1` to at most `s_lamp_wander_4` (what the lamp may do between visits),
-        `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
-        `s_tilt_zero`, `s_azimuth_zero`, `s_spin_zero`; `s_geometry_1` to at most `s_geometry_4` (what a calibration
-        leaves open of the rig's geometry); and where the rig file or a calibration tells of them `s_linearity`,
-        `s_stray_light`, `s_beam`, `s_polarisation_1` to `_12`, `s_wavelength`, `s_bandwidth`. A plan with points behind
-        the sample gives a column `side`.
+        `s_dark_1` to `s_dark_3` (noise of the dark frames), `s_prnu_1` to `s_prnu_3` (responsivities of the pixels that
+        points share, where they differ), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
+        `s_tilt_zero`, `s_azimuth_zero`, `s_spin_zero`; `s_geometry_1` to at most `s_geometry_4` (what a
+        calibration leaves open of the rig's geometry); and where the rig file or a calibration tells of them
+        `s_linearity`, `s_stray_light`, `s_beam`, `s_polarisation_1` to `_12`, `s_wavelength`, `s_bandwidth`. A
+        plan with points behind the sample gives a column `side`.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
     frames.require_no_repeats()
     results = [_reduce_band(frames, band, steps) for band, steps in zip(run.bands, reduced, strict=True)]
     light_and_lens.add_wavelength(frames.description, results)
-    columns = (("dark", DARK), ("geometry", GEOMETRY), ("visits", LAMP), ("polarisation", POLARISATION))
+    columns = (("dark", DARK), ("prnu", PRNU), ("geometry", GEOMETRY), ("visits", LAMP), ("polarisation", POLARISATION))
     for part, names in columns:
         if part in results[0].values.shared:
             share([result.values for result in results], part, names)
@@ -158,10 +159,10 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
 
 def _values(measured: MeasuredBand) -> Values:
     """BRDF and its uncertainties for the points of a band on one side (docs/radiometry.md, "The budget")."""
-    frames, points, fitted, k = measured.frames, measured.points, measured.fitted, measured.level
+    points, fitted, k = measured.points, measured.fitted, measured.level
     brdf = np.array([point.rate for point in points]) / k
     noise = np.array([point.variance for point in points]) / k**2
-    prnu = np.array([_prnu(frames.prnu, point, frames.reference[measured.band.channel].count) for point in points])
+    prnu, by_pixels = _responsivities(measured)
     wander = fitted.wander(measured.times_s)
     lamp = -(brdf / k)[:, None] * wander.shared
     visits = np.maximum((brdf * wander.u / k) ** 2 - np.sum(lamp**2, axis=1), 0.0)
@@ -171,9 +172,11 @@ def _values(measured: MeasuredBand) -> Values:
         lobes=curves.facts(),
         bounded=~curves.spikes.told & (curves.spikes.variance > noise),
         coarse=np.zeros(len(points), bool),
-        own={"noise": np.sqrt(noise), "prnu": abs(brdf * prnu), "visits": np.sqrt(visits)},
+        own={"noise": np.sqrt(noise), "prnu": abs(brdf) * _left(prnu, by_pixels), "visits": np.sqrt(visits)},
         shared={"dark": _darks(measured), "visits": lamp},
     )
+    if measured.frames.prnu:
+        values.shared["prnu"] = _of_channel(measured, brdf[:, None] * by_pixels)
     angle_errors.add(measured, values, curves)
     for cause in CAUSES:
         cause(measured, values)
@@ -181,12 +184,17 @@ def _values(measured: MeasuredBand) -> Values:
 
 
 def _darks(measured: MeasuredBand) -> Floats:
-    """Change of each value [1/sr] by the noise of the dark frames, which the bands of one channel share."""
+    """Change of each value [1/sr] by the noise of the dark frames."""
+    darks = np.array([point.dark for point in measured.points]).reshape(-1, 2 * PATTERNS)
+    return _of_channel(measured, darks / measured.level[:, None])
+
+
+def _of_channel(measured: MeasuredBand, effects: Floats) -> Floats:
+    """Effects of pixels, shape (points, causes), which the bands of one channel share, among those of all channels."""
     channels = list(dict.fromkeys(band.channel for band in measured.frames.run.bands))
-    darks = np.array([point.dark for point in measured.points]).reshape(-1, 2 * PATTERNS) / measured.level[:, None]
-    out = np.zeros((len(darks), len(channels), 2 * PATTERNS))
-    out[:, channels.index(measured.band.channel)] = darks
-    return out.reshape(len(darks), len(channels) * 2 * PATTERNS)
+    out = np.zeros((len(effects), len(channels), effects.shape[1]))
+    out[:, channels.index(measured.band.channel)] = effects
+    return out.reshape(len(effects), len(channels) * effects.shape[1])
 
 
 def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[Reduced]) -> JsonObject:
@@ -252,9 +260,18 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
     return fitted, Reference(float(known.mean()), u_rel)
 
 
-def _prnu(prnu: float, point: Reduced, reference_pixels: int) -> float:
-    """Relative standard deviation from the pixels' responsivities; those that both regions use cancel in part."""
-    if not prnu:
-        return 0.0
-    n, m = point.pixels, reference_pixels
-    return prnu * math.sqrt(max(1.0 / n + 1.0 / m - 2.0 * point.shared / (n * m), 0.0))
+def _responsivities(measured: MeasuredBand) -> tuple[Floats, Floats]:
+    """What the pixels' responsivities do to each value, relative: standard deviation, and by `Reduced.by_pixels`.
+
+    Those that point and reference both use cancel in part.
+    """
+    frames, points = measured.frames, measured.points
+    n, shared = np.array([(point.pixels, point.shared) for point in points], dtype=float).reshape(-1, 2).T
+    m = frames.reference[measured.band.channel].count
+    by_pixels = np.array([point.by_pixels for point in points]).reshape(-1, 1 + PATTERNS)
+    return frames.prnu * np.sqrt(np.maximum(1.0 / n + 1.0 / m - 2.0 * shared / (n * m), 0.0)), frames.prnu * by_pixels
+
+
+def _left(u: Floats, columns: Floats) -> Floats:
+    """What columns leave of a standard uncertainty."""
+    return np.asarray(np.sqrt(np.maximum(u**2 - np.sum(columns**2, axis=1), 0.0)))

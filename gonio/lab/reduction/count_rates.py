@@ -107,6 +107,12 @@ class RunFrames:
         self._boxes = {target: _widened(box, spare, size) for target, box in boxes.items()} if spare else boxes
         box = self._boxes.get("sample", (slice(0, 0), slice(0, 0)))
         self._patterns = {channel: Patterns(regions[channel], box) for channel in self._channels}
+        for first in self.reference.values():
+            box = _around(first, box)
+        self._responsivities = {
+            channel: Patterns(regions[channel], box, self.reference[channel])
+            for channel in self._channels if channel in self.reference
+        }  # fmt: skip
         self.clipped = 0.0
         """The part of the used pixels that read 0 DN in the dark frames."""
         self.full = 0.0
@@ -357,6 +363,16 @@ class RunFrames:
             dark = float(straightened(camera, np.array(dark - black)))
         return stray_light.spread(camera, values, dark, channel)
 
+    def _by_pixels(self, region: Region, channel: Channel) -> Floats:
+        """`Reduced.by_pixels` of a region."""
+        reference = self.reference.get(channel)
+        out = np.zeros(1 + PATTERNS)
+        if reference is not None and region.target == "sample":
+            n, m = region.lit.count, reference.count
+            out[0] = (region.lit.shared(reference) / n - 1.0) / math.sqrt(m)
+            out[1:] = self._responsivities[channel].of(region.lit) / math.sqrt(n)
+        return out
+
     def reduce(self, step: StepRecord, band: Band) -> Reduced | Rejected:
         """The rate of a step in a band, from its merged frames."""
         found = self.shots(step, band)
@@ -393,6 +409,7 @@ class RunFrames:
             pixels=region.lit.count,
             by_camera=pooled.by_camera,
             shared=region.lit.shared(reference) if reference is not None else 0,
+            by_pixels=self._by_pixels(region, band.channel),
             directions=kinematics.directions(self.description, step.pose),
             pose=step.pose,
             point=step.point,

@@ -73,18 +73,29 @@ class Darks:
 class Patterns:
     """Orthonormal patterns of pixels that make up most of the regions of all points.
 
-    The noise of a dark frame is independent from pixel to pixel. So what it does to the mean over a region is a sum
-    over patterns: each has a normal number of its own, which all points share.
+    The noise of a dark frame is independent from pixel to pixel, and so are responsivities. So what they do to the mean
+    over a region is a sum over patterns: each has a normal number of its own, which all points share.
+
+    Parameters
+    ----------
+    regions, box
+        The regions of some points, and a rectangle around those of all.
+    first
+        A region whose mean is a pattern of its own, to which all others are orthogonal (`of` leaves it out).
     """
 
-    def __init__(self, regions: list[Roi], box: tuple[slice, slice]) -> None:
-        rows, cols = box  # around the regions of all points, of which `regions` are some
+    def __init__(self, regions: list[Roi], box: tuple[slice, slice], first: Roi | None = None) -> None:
+        rows, cols = box
         self._corner = rows.start, cols.start
         shape = rows.stop - rows.start, cols.stop - cols.start
         few = regions[:: max(-(-len(regions) * shape[0] * shape[1] // HELD), 1)]
         flat = np.zeros((len(few), *shape))
         for image, region in zip(flat, few, strict=True):
             image[self._place(region)] = region.mask / math.sqrt(region.count)
+            if first is not None:
+                image[self._place(first)] -= (
+                    region.shared(first) / math.sqrt(region.count) / first.count * first.mask.astype(float)
+                )
         values, vectors = np.linalg.eigh(np.tensordot(flat, flat, ((1, 2), (1, 2))))
         last = np.flatnonzero(values > 1e-9 * len(few))[-PATTERNS:]
         self._images = np.tensordot(vectors[:, last] / np.sqrt(values[last]), flat, (0, 0))

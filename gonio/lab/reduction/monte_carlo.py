@@ -29,7 +29,7 @@ from gonio.lab.reduction.angle_sensitivity import NARROWEST, from_above
 from gonio.lab.reduction.brdf import Reduction
 from gonio.lab.reduction.spikes import over_patch, overlap
 from gonio.lab.reduction.step_rates import Reduced
-from gonio.lab.reduction.table import COMMON, DARK, LAMP
+from gonio.lab.reduction.table import COMMON, DARK, LAMP, PRNU
 from gonio.lab.reduction.values import BandResult
 from gonio.lab.rig import Pose, kinematics
 from gonio.lab.rig.description import RigDescription
@@ -46,7 +46,7 @@ AT_ONCE = 50
 """Draws that are computed together."""
 STEP = 1e-4
 """[rad]: of the differences that tell how directions follow the axes, which they do smoothly."""
-FORMULA = ("s_theta_i_zero", "s_theta_r_zero", "s_tilt_zero", "s_azimuth_zero", "s_spin_zero", *COMMON, *DARK)
+FORMULA = ("s_theta_i_zero", "s_theta_r_zero", "s_tilt_zero", "s_azimuth_zero", "s_spin_zero", *COMMON, *DARK, *PRNU)
 """Columns whose causes are drawn as inputs."""
 COMPUTED = (
     "noise", "dark", "prnu", "encoder", "zeros_even", "spike_blur", "coarse_steps", "region", "visits", "geometry",

@@ -50,6 +50,9 @@ class Reduced(Merged):
     """Derivatives of the rate by `camera_parameters`."""
     shared: int
     """How many of the pixels the first visit to the reference uses too."""
+    by_pixels: Floats
+    """Relative change of a value for one standard deviation of the responsivities, which stands for 1 here: of their
+    mean over the pixels of the first visit, and in each of the patterns that points share; zero for a visit."""
     directions: Directions
     pose: Pose
     point: int | None

@@ -41,6 +41,7 @@ COMMON = ("s_reference", "s_reference_noise", "s_lamp_drift")
 LIGHT = ("s_beam", "s_wavelength", "s_bandwidth")
 """Causes that are there where the rig file or a calibration tells of them (`gonio.lab.reduction.light_and_lens`)."""
 DARK = tuple(f"s_dark_{k + 1}" for k in range(COLUMNS))
+PRNU = tuple(f"s_prnu_{k + 1}" for k in range(COLUMNS))
 GEOMETRY = tuple(f"s_geometry_{k + 1}" for k in range(4))
 LAMP = tuple(f"s_lamp_wander_{k + 1}" for k in range(4))
 POLARISATION = tuple(f"s_polarisation_{k + 1}" for k in range(12))
@@ -100,7 +101,9 @@ def _rows(frames: RunFrames, results: list[BandResult], *, of_angles: bool) -> t
     plan = frames.plan
     zeros = (CAUSES[axis] for axis in zero_uncertainties(frames.description))
     added = dict.fromkeys(name for result in results for name in result.values.common)
-    causes = [name for name in (*COMMON, *DARK, *zeros, *GEOMETRY, *LAMP, *POLARISATION, *LIGHT) if name in added]
+    causes = [
+        name for name in (*COMMON, *DARK, *PRNU, *zeros, *GEOMETRY, *LAMP, *POLARISATION, *LIGHT) if name in added
+    ]
     causes += [name for name in added if name not in causes]
     numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes, *(["u_angles"] if of_angles else [])]
     values = np.full((len(numbers), len(plan), len(results)), math.nan)

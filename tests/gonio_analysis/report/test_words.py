@@ -95,14 +95,21 @@ def test_a_page_says_no_jargon_and_explains_each_cause_at_a_touch(tmp_path: Path
     sample = measure(
         build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30}), noise=0.01, reference=0.005, name="gloss"
     )
-    for name in ("s_lamp_wander_1", "s_dark_2", "s_theta_i_zero"):
+    for name in ("s_lamp_wander_1", "s_dark_2", "s_prnu_1", "s_theta_i_zero"):
         sample[name] = 0.001 * sample["brdf"]
     measurement.write(sample, tmp_path / "gloss.csv")
     make([str(tmp_path / "gloss.csv")], tmp_path / "out", models=["lambert", "phong"])
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     explained = dict(re.findall(r'class="term[^"]*"[^>]*title="([^"]+)">([^<]+)<', page))
     shown = set(explained.values())
-    assert {"lamp instability 1", "dark frames 2", "θi zero", "reference", "exponent"} <= shown
+    assert {
+        "lamp instability 1",
+        "dark frames 2",
+        "pixel responsivities 1",
+        "θi zero",
+        "reference",
+        "exponent",
+    } <= shown
     assert {"cosine-weighted difference", "residual / u", "prediction error", "95 % interval", "value ± u"} <= shown
     plain = re.sub(r"(?s)<(script|style)\b.*?</\1>|<[^>]+>", "\n", re.sub(r' title="[^"]*"', "", page))
     found = [html.unescape(line) for line in plain.splitlines() if SPOKEN.search(line)]

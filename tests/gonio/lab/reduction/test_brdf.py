@@ -25,6 +25,7 @@ from gonio.lab.rig.description import ArmAxis, Arms
 from gonio.lab.rig.dng import read_raw
 from gonio.lab.rig.light_and_camera import Band, Lamp
 from gonio.typing import Floats
+from tests.command_line import some
 from tests.gonio.lab.reduction.made_run import MadeRun, Maker, describe, in_plane
 
 POINTS = [in_plane(i, r) for i in (10.0, 45.0, 70.0) for r in (-60.0, -30.0, 0.0, 25.0, 50.0, 80.0)]
@@ -337,9 +338,30 @@ def test_pixels_of_both_regions_cancel(tmp_path: Path) -> None:
         [in_plane(0.0, 45.0), in_plane(0.0, 70.0)], (0.5,)
     )
     table = reduce(run)
-    assert table["u_random"][0] < 1e-5 * table["brdf"][0]  # the very pixels of the visits
+    u = np.linalg.norm(table[["u_random", "s_prnu_1", "s_prnu_2", "s_prnu_3"]], axis=1) / table["brdf"]
+    assert u[0] < 1e-5  # the very pixels of the visits
     n, m = (pixels_of_a_disc(t) for t in (70.0, 45.0))
-    assert table["u_random"][1] / table["brdf"][1] == pytest.approx(0.01 * math.sqrt(1 / n - 1 / m), rel=0.05)
+    assert u[1] == pytest.approx(0.01 * math.sqrt(1 / n - 1 / m), rel=0.05)
+
+
+def test_points_that_use_the_same_pixels_share_their_responsivities(tmp_path: Path) -> None:
+    """Means of independent pixels over a point's region, less that over the reference's: their covariance."""
+    at = [(0.0, 70.0), (30.0, 70.0), (0.0, 20.0), (30.0, 20.0), (0.0, 60.0), (0.0, 50.0)]
+    run = Maker(tmp_path, describe(camera={"prnu": 0.01}), lambda d: 0.2).make([in_plane(*a) for a in at], (0.5,))
+    found = radiometry.reduce_in_parts(cast(Run, run))
+    frames = count_rates.RunFrames(cast(Run, run))
+    regions = [some(frames.region(step, "mono")).lit for step in frames.steps() if step.point is not None]
+    images = np.zeros((len(regions) + 1, 64, 64))
+    for image, roi in zip(images, [*regions, frames.reference["mono"]], strict=True):
+        image[roi.rows, roi.cols] = roi.mask / roi.count
+    apart = (images[:-1] - images[-1]).reshape(len(regions), -1)
+    columns = found.table[["s_prnu_1", "s_prnu_2", "s_prnu_3"]].to_numpy() / found.table[["brdf"]].to_numpy()
+    stated = columns @ columns.T + np.diag((found.budget["prnu"] / found.table["brdf"]) ** 2)
+    true = 1e-4 * apart @ apart.T
+    np.testing.assert_allclose(np.diag(stated), np.diag(true), rtol=1e-6)
+    # three columns leave little: the variance at 50 and 60 degrees, whose regions are nearly the reference's, is small
+    np.testing.assert_allclose(stated, true, atol=0.05 * true.max())
+    assert stated[0, 1] == pytest.approx(true[0, 1], rel=1e-3)
 
 
 def pixels_of_a_disc(theta_r_deg: float) -> float:

@@ -4,8 +4,9 @@
     python -m tests.gonio.lab.reduction.widths sim --pixels --seeds 100 --jobs 2
 
 Printed are (value - truth)/u, root mean square over values and seeds, and chi-square over n with the stated covariance,
-each with its standard error by the scatter between seeds. The certificate of the reference has no error here, and its
-column is left out: all values of a run share it, and a hundred seeds would know its one number to 7 %.
+each with its standard error by the scatter between seeds. A hundred seeds would know the size of an error that all
+values of a run share to 7 % alone. So the certificate of the reference has no error here, and its column is left out;
+and zeros are off by just their standard uncertainty, in every combination of signs as often.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ from gonio_maps.files import MapFile, Tile
 from gonio_maps.reduction import maps
 
 from gonio import instrument, models
+from gonio.config import to_toml
 from gonio.lab.acquisition.measure import RigChoice, carry_out
 from gonio.lab.acquisition.plan import Plan, Point
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction.brdf import Reduction, reduce_in_parts
+from gonio.lab.rig.description import Axis
 from gonio.samples.description import SampleDescription
 from gonio.typing import Floats
 from tests.gonio.lab.reduction.drawn_runs import rig, truth
@@ -80,10 +83,22 @@ def without_certificate(chosen: RigChoice, **camera: float) -> RigChoice:
     return replace(chosen, description=description.model_copy(update={"reference": reference, "camera": seen}))
 
 
+def with_even_zeros(chosen: RigChoice, file: Path, seed: int) -> RigChoice:
+    """A rig whose zeros are off by one standard uncertainty, by the bits of the seed up or down."""
+    described = chosen.description
+
+    def true(axis: Axis, bit: int) -> dict[str, float]:
+        return {"zero_offset_deg": axis.zero_offset_deg + axis.zero_u_deg * (1 - 2 * (seed >> bit & 1))}
+
+    arms = {name: true(getattr(described.arms, name), bit) for bit, name in enumerate(("light", "camera"))}
+    file.write_text(to_toml({"arms": arms, "holder": true(described.holder, 2)}))
+    return replace(chosen, description=described.model_copy(update={"truth": str(file)}))
+
+
 def of_table(name: str, folder: Path, seed: int) -> Seed:
     """25 values of `GLOSSY`, and one that the arms block."""
     out = folder / f"{name}-{seed}"
-    chosen = without_certificate(rig(name=name))
+    chosen = with_even_zeros(without_certificate(rig(name=name)), out.with_suffix(".toml"), seed)
     carry_out(plan((20, 55), SIGNED_DEG), chosen, out, sample=GLOSSY, seed=seed, yes=True)
     found = reduce_in_parts(Run.open(out))
     used = (found.table["flag"] == "").to_numpy()
@@ -106,6 +121,7 @@ def of_map(name: str, pixel_mm: float | None, folder: Path, seed: int) -> Seed:
     chosen = without_certificate(rig(name=name), width=32, height=32, pixel_um=40.0)
     holder = chosen.description.holder.model_copy(update={"sample_diameter_mm": 8.0})
     chosen = replace(chosen, description=chosen.description.model_copy(update={"holder": holder}))
+    chosen = with_even_zeros(chosen, out.with_suffix(".toml"), seed)
     carry_out(plan((20, 55), SIGNED_DEG[1::2]), chosen, out, sample=MATTE, seed=seed, yes=True)
     run = Run.open(out)
     found = reduce_in_parts(run)
