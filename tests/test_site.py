@@ -93,8 +93,8 @@ def test_a_dead_link_a_dead_anchor_and_a_font_from_elsewhere_are_found(tmp_path:
 
 
 def test_the_first_page_is_the_readme_as_seen_from_docs(hooks: ModuleType) -> None:
-    text = hooks.first_page("[a](docs/analysis.md) ![r](docs/report.png) [d](docs/decisions) [m](docs/measurements)")
-    assert text == "[a](analysis.md) ![r](report.png) [d](decisions/index.md) [m](measurements/index.md)"
+    text = hooks.first_page("[a](docs/analysis.md) ![r](docs/report.png) [d](docs/decisions)")
+    assert text == "[a](analysis.md) ![r](report.png) [d](decisions/index.md)"
 
 
 def test_the_picture_of_the_readme_is_of_todays_page() -> None:

@@ -49,8 +49,7 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the first page, the lists of folders, and the notebooks' pages with their pictures."""
     docs = Path(config.docs_dir)
     files.append(File.generated(config, "index.md", content=first_page((ROOT / "README.md").read_text("utf-8"))))
-    for folder in ("measurements", "decisions"):
-        files.append(File.generated(config, f"{folder}/index.md", content=listed(docs / folder)))
+    files.append(File.generated(config, "decisions/index.md", content=listed(docs / "decisions")))
     for path in sorted((docs / "notebooks").glob("*.ipynb")):
         text, pictures = page_of(json.loads(path.read_text("utf-8")), path.stem)
         files.append(File.generated(config, f"notebooks/{path.stem}.md", content=text))
@@ -61,7 +60,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 def first_page(readme: str) -> str:
     """README.md with its links as seen from docs/."""
-    text = re.sub(r"\]\(docs/(measurements|decisions)\)", r"](\1/index.md)", readme)
+    text = readme.replace("](docs/decisions)", "](decisions/index.md)")
     return re.sub(r"\]\(docs/", "](", text)
 
 

@@ -1,1 +1,1 @@
-"""What commands wrote and printed once, kept as the net under every change: docs/golden.md."""
+"""What commands wrote and printed once, kept as the net under every change: tests/golden/readme.md."""

@@ -24,8 +24,8 @@ from gonio.geometry import Directions
 from gonio.lab.rig.dng import encode_dng, read_raw
 from gonio.lab.rig.protocols import Frame
 from gonio.typing import Floats
-from tests.command_line import some
 from tests.gonio_scenes.scenes import scene
+from tools.studies import photograph_campaign
 
 ROOT = Path(__file__).parents[2]
 CAMERA: dict[str, Any] = {
@@ -551,15 +551,10 @@ def test_a_photograph_has_one_wavelength_and_room_for_a_raw_file(tmp_path: Path)
 
 @pytest.mark.slow
 def test_blind_spheres_joined_with_sweeps_cover_the_truth(tmp_path: Path) -> None:
-    import importlib.util
-
-    spec = some(importlib.util.spec_from_file_location("campaign", ROOT / "tools" / "photograph_campaign.py"))
-    campaign = importlib.util.module_from_spec(spec)
-    some(spec.loader).exec_module(campaign)
     pulls = []
     for number in range(3):
-        results, true, _ = campaign.case(tmp_path, 11, number)
-        pulls += list(campaign.pulls(results["both"], true).values())
+        results, true, _ = photograph_campaign.case(tmp_path, 11, number)
+        pulls += list(photograph_campaign.pulls(results["both"], true).values())
     assert len(pulls) == 9
     # nine pulls, some of them tied: beyond 4 once in a thousand times, with a right covariance
     assert np.abs(pulls).max() < 4.0

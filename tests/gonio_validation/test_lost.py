@@ -11,15 +11,11 @@ from gonio_analysis.report import frame
 from gonio_analysis.report.drawing import Drawing
 from gonio_maps.report import map_change
 from gonio_validation import verify
-from gonio_validation.bench import coverage, coverage_campaign, maps, materials, scenes, speed_and_error
+from gonio_validation.bench import speed_and_error
 from gonio_validation.papers.pictures import page as pictures
 
-from gonio import measurement
 from gonio.errors import Incomplete
-from gonio.models import build
 from tests.gonio_analysis.report import test_frame
-from tests.gonio_analysis.synthetic import measure
-from tests.gonio_validation.bench import test_coverage
 
 Patch = pytest.MonkeyPatch
 
@@ -27,28 +23,6 @@ Patch = pytest.MonkeyPatch
 def bench_of_models(folder: Path, patch: Patch) -> object:
     patch.setattr(speed_and_error, "collect", lambda **given: test_frame.told_of_models(ways=3))
     return speed_and_error.make(folder)
-
-
-def bench_of_scenes(folder: Path, patch: Patch) -> object:
-    patch.setattr(scenes, "collect", lambda *given, **more: test_frame.told_of_scenes())
-    return scenes.make(folder)
-
-
-def bench_of_coverage(folder: Path, patch: Patch) -> object:
-    patch.setattr(coverage_campaign, "carried_out", lambda campaign, folder: test_coverage.record(campaign.number))
-    return coverage.make(folder, campaigns=4, jobs=1)
-
-
-def bench_of_materials(folder: Path, patch: Patch) -> object:
-    patch.setattr(materials, "judged", lambda *given: test_frame.RECORD)
-    table = folder.with_name("dull.csv")
-    measurement.write(measure(build("lambert", {"albedo": 0.5}), noise=0.01, name="dull"), table)
-    return materials.make([str(table)], folder, models=("lambert",), jobs=1)
-
-
-def bench_of_maps(folder: Path, patch: Patch) -> object:
-    patch.setattr(maps, "measured", lambda *given: test_frame.TIMES)
-    return maps.make(folder, quick=True)
 
 
 def papers_pictures(folder: Path, patch: Patch) -> object:
@@ -70,12 +44,12 @@ def two_maps(folder: Path, patch: Patch) -> object:
     return map_change.make([str(test_frame.fitted(own, "a")), str(test_frame.fitted(own, "b", 0.2))], folder)
 
 
-DRAWN = (bench_of_models, bench_of_scenes, bench_of_coverage, bench_of_materials, papers_pictures, two_maps)
+DRAWN = (bench_of_models, papers_pictures, two_maps)
 
 
 @pytest.mark.parametrize(
     ("make", "broken"),
-    [*((make, "rendered") for make in DRAWN), *((make, "page") for make in (*DRAWN, bench_of_maps, a_verification))],
+    [*((make, "rendered") for make in DRAWN), *((make, "page") for make in (*DRAWN, a_verification))],
 )
 def test_a_page_without_what_fails(
     make: Callable[[Path, Patch], Any], broken: str, tmp_path: Path, monkeypatch: Patch
@@ -94,4 +68,3 @@ def test_a_page_without_what_fails(
     told = json.loads(numbers.read_text(encoding="utf-8"))
     assert "ZeroDivisionError: late" in [one["error"] for one in told.pop("failed")]
     assert len(told) > 2
-    assert make is not bench_of_coverage or told["refused"] == []

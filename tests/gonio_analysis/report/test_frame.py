@@ -25,17 +25,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawing import Figure
 from gonio_maps.report import map_change, map_page
 from gonio_validation import papers, verify
-from gonio_validation.bench import (
-    coverage,
-    coverage_page,
-    maps,
-    materials,
-    results_page,
-    scenes_page,
-    sweeps,
-    sweeps_page,
-    timing,
-)
+from gonio_validation.bench import results_page, timing
 from gonio_validation.bench.quantity import QuantitySummary, TimeSummary, WaySummary
 from gonio_validation.papers import figure_page
 from gonio_validation.papers.figure import Claim
@@ -52,7 +42,6 @@ from tests.browser import Page as Tab
 from tests.gonio_analysis.changes.test_laboratories import measured
 from tests.gonio_analysis.synthetic import measure
 from tests.gonio_maps.map_files import fits, values
-from tests.gonio_validation.bench import test_coverage, test_sweeps
 
 SAMPLE = 'name = "gloss"\nmodel = "phong"\n[parameters]\nk_d = 0.3\nk_s = 0.5\nexponent = 30\n'
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 400 300"><rect width="400" height="300"/></svg>'
@@ -193,57 +182,11 @@ def bench_of_models(folder: Path) -> Page:
     return results_page.render(told_of_models(), [replace(drawing("front"), model="phong")])
 
 
-def told_of_scenes() -> dict[str, Any]:
-    sample = {"scene": "sky", "rays": 4, "seconds": 0.1, "rms": 0.1, "stated": 0.1}
-    kept = {"tolerance": 0.1, "most": 9, "seconds_for_all": 0.2, "beyond_three": 0.0, "above": 0, "holds": True}
-    lists = {"bins": [], "ways": [], "shared": [], "peers": [], "samples": [sample], "tolerances": [sample | kept]}
-    machine = timing.machine()
-    told = {"title": "Scenes", **MADE, "quick": True, "pixels": 16, "mitsuba": "not installed", "machine": machine}
-    return told | lists
-
-
-def bench_of_scenes(folder: Path) -> Page:
-    return scenes_page.render(told_of_scenes(), [drawing("error-against-time")])
-
-
-def bench_of_sweeps(folder: Path) -> Page:
-    told = sweeps.summary([test_sweeps.record(0), test_sweeps.record(1)], seeds=2, command="gonio bench sweeps")
-    return sweeps_page.render(told, [drawing("one"), drawing("two")])
-
-
-def bench_of_coverage(folder: Path) -> Page:
-    records = [test_coverage.record(k) for k in range(20)]
-    told = coverage.summary(records, coverage.CoverageSettings(seed=1, errors=(), points=12, gonio="0.2.0"))
-    return coverage_page.render(told, [drawing("coverage", "forest"), drawing("pulls", "histogram")])
-
-
-OWN: dict[str, Any] = {"free": 1, "left_out": 0.02, "aic": 1.0, "rejected": False, "fails": "near retro"}
-RECORD = {"format": 1, "name": "dull", "values": 99, "models": {"lambert": OWN}, "not_rejected": "lambert"}
-
-
-def bench_of_materials(folder: Path) -> Page:
-    return materials._page([RECORD], ["lambert"], {"notes.txt": "no table"}, None, [drawing("left_out")])
-
-
-TIMES: dict[str, Any] = dict.fromkeys(("own_us", "shared_us", "rejected_us", "fit_ms", "scipy_ms", "from_fit"), 1.0) | {
-    "model": "ggx",
-    "pixels": 9,
-    "pull_sd": [1.0],
-    "beyond_5": 0,
-    "worse_than_truth": 0,
-    "jax_us": None,
-}
-
-
-def bench_of_maps(folder: Path) -> Page:
-    return maps._page([TIMES], stamp("gonio bench maps"))
-
-
 KINDS: tuple[Callable[[Path], object], ...] = (
     one_sample, two_sides, two_with_a_zero, two_that_state_nothing,
     two_that_are_one, three_laboratories, appearance_of_a_model,
     a_map_of_fits, a_map_of_values, two_maps, a_verification, a_papers_figure, every_papers_figure, papers_pictures,
-    bench_of_models, bench_of_scenes, bench_of_sweeps, bench_of_coverage, bench_of_materials, bench_of_maps,
+    bench_of_models,
 )  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""Studies that prove the workbench and serve no measurement: run by hand, with `python -m tools.studies`."""
