@@ -8,11 +8,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NoReturn
 
+from gonio_analysis.report.html import program
+
 from gonio.cli import console
 from gonio.errors import ConfigError
 from gonio.lab.acquisition.run import Run
 from gonio.lab.acquisition.run_folder import begun
 from gonio.lab.live.server import Content, Route, Server
+from gonio.look import part
 from gonio_watch import shared, watching
 from gonio_watch.watching import Watched
 
@@ -35,18 +38,14 @@ class Shown:
 
 def page(nonce: str) -> bytes:
     """The page as HTML: the look and the programs of every page, and its own; all of them carry a nonce."""
-    text = _file("watch.html")
-    parts = {"nonce": nonce, "look": "style.css", "style": "watch.css"}
-    parts |= {"viewer": "viewer.js", "program": "watch.js", "every": "page.js"}
-    for name, part in parts.items():
-        text = text.replace("{{" + name + "}}", nonce if name == "nonce" else _file(part))
+    folder = files("gonio_watch")
+    own = {"style": "watch.css", "program": "watch.js"}
+    parts = {word: folder.joinpath(name).read_text(encoding="utf-8") for word, name in own.items()}
+    parts |= {"look": part("style.css"), "live": part("live.css"), "every": part("page.js"), "viewer": program()}
+    text = folder.joinpath("watch.html").read_text(encoding="utf-8")
+    for word, filled in (parts | {"nonce": nonce}).items():
+        text = text.replace("{{" + word + "}}", filled)
     return text.encode()
-
-
-def _file(name: str) -> str:
-    own = files("gonio_watch").joinpath(name)
-    file = own if own.is_file() else files("gonio_analysis").joinpath("report", name)
-    return file.read_text(encoding="utf-8")
 
 
 def watch(run: Path, host: str, port: int | None, text: bool) -> None:

@@ -27,9 +27,9 @@ from gonio_analysis.report import (
     sections,
     viewer,
 )
-from gonio_analysis.report.blocks import titled
+from gonio_analysis.report.blocks import Page, titled
 from gonio_analysis.report.comparison import summarise
-from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
+from gonio_analysis.report.drawing import Drawing, Figure, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.section import drawings_of, facts_of
 from gonio_analysis.report.sections import SECTIONS
@@ -102,24 +102,17 @@ def make(
     Incomplete
         The page is there, and names parts that could not be made (`gonio.lost`).
     """
-
     check_models(models)
     with files.staged(out) as stage:
         found = [one for spec in specs for one in _read(spec, how)]
         tables = [table for _, _, table, _ in found]
         lost.kept("datacite.json", lambda: _cite(tables, stage.work, progress), lambda loss: None)
-        transmission_only, found = _transmission_only(found, wavelength_nm, u_rel)
+        through, found = _transmission_only(found, wavelength_nm, u_rel)
         names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
         told = {name: of_reader(one[2]) for name, one in zip(names, found, strict=True)}
-        for note in said_once(told | {t.name: t.data.notes for t in transmission_only}):
+        for note in said_once(told | {t.name: t.data.notes for t in through}):
             progress(note)
-        constants = ior if isinstance(ior, Constants) else Constants()
-        taken = Taken.of(constants, [Sample(source, sample) for sample, source, *_ in found])
-        if not isinstance(ior, Constants):
-            taken = replace(taken, remembered=[None] * len(found))
-        for note in taken.notes:
-            progress(note)
-        iors = taken.values if isinstance(ior, Constants) else [ior] * len(found)
+        taken, iors = _optical_constants(ior, found, progress)
         jobs = [
             partial(
                 examine, table, models, name=name, source=source, run=run, normalise=normalise, ior=own,
@@ -131,26 +124,13 @@ def make(
         # the workers get ready while models are fitted
         with figure_workers(2 * len(jobs) * tried, modules=FITTING) as workers:
             workers.png = png
-            if len(jobs) < parallel.FEW and dask is None:
-                datasets = [job(progress=progress, share=workers.share) for job in jobs]
-            else:
-                fitted = dict[int, Dataset]()
-                for k, dataset in parallel.each(_examined, jobs, dask=dask, pool=workers):
-                    fitted[k] = dataset
-                    progress(f"{dataset.name}: fitted ({len(fitted)} of {len(jobs)})")
-                datasets = [fitted[k] for k in range(len(jobs))]
-            every = names + [t.name for t in transmission_only]
+            datasets = _fitted(jobs, workers, dask, progress)
+            every = names + [t.name for t in through]
+            title = " and ".join(every) if len(every) <= 2 else f"{len(every)} samples"
             summary = write(
-                datasets,
-                stage.work,
-                title=" and ".join(every) if len(every) <= 2 else f"{len(every)} samples",
-                normalise=normalise,
-                radius=radius,
-                command=command,
-                transmission_only=transmission_only,
-                workers=workers,
-                progress=progress,
-            )
+                datasets, stage.work, title=title, normalise=normalise, radius=radius, command=command,
+                transmission_only=through, workers=workers, progress=progress,
+            )  # fmt: skip
     for said in [*taken.remember(), *(summary.comparison.verdict if summary.comparison else ())]:
         progress(said)
     return Path(out) / "index.html"
@@ -190,6 +170,32 @@ def _transmission_only(
         else:
             transmission_only.append(replace(through, source=source))
     return transmission_only, others
+
+
+def _optical_constants(
+    ior: Ior | Constants, found: Sequence[Measured], progress: Callable[[str], None]
+) -> tuple[Taken, list[Ior]]:
+    """Optical constants of each sample, and what is to be remembered of them beside the files."""
+    constants = ior if isinstance(ior, Constants) else Constants()
+    taken = Taken.of(constants, [Sample(source, sample) for sample, source, *_ in found])
+    if not isinstance(ior, Constants):
+        taken = replace(taken, remembered=[None] * len(found))
+    for note in taken.notes:
+        progress(note)
+    return taken, list(taken.values) if isinstance(ior, Constants) else [ior] * len(found)
+
+
+def _fitted(
+    jobs: Sequence[partial[Dataset]], workers: FigureWorkers, dask: str | None, progress: Callable[[str], None]
+) -> list[Dataset]:
+    """What the jobs find: a few one after the other with all processors, many side by side."""
+    if len(jobs) < parallel.FEW and dask is None:
+        return [job(progress=progress, share=workers.share) for job in jobs]
+    fitted = dict[int, Dataset]()
+    for k, dataset in parallel.each(_examined, jobs, dask=dask, pool=workers):
+        fitted[k] = dataset
+        progress(f"{dataset.name}: fitted ({len(fitted)} of {len(jobs)})")
+    return [fitted[k] for k in range(len(jobs))]
 
 
 def _examined(job: Callable[[], Dataset]) -> Dataset:
@@ -236,38 +242,51 @@ def write(
     own = [facts_of(sections.every(SECTIONS), d) for d in datasets]
     known = [replace(facts, sections=more or None) for facts, more in zip(summary.datasets, own, strict=True)]
     summary = replace(summary, datasets=known, transmission_only=transmission_only)
-    both = list(zip(datasets, known, strict=True))
     progress("drawing")
-    slugs = page.slugs_of_transmission(summary)
-    groups = _drawings(both, radius)
-    for t, slug in zip(transmission_only, slugs, strict=True):
+    groups = _drawings(list(zip(datasets, known, strict=True)), radius)
+    for t, slug in zip(transmission_only, page.slugs_of_transmission(summary), strict=True):
         groups.append(_kept("figures", t.name, partial(beyond_reflection.draw, t, (), slug)))
     if len(datasets) > 1:
         groups.append(_kept("figures", "all samples", partial(across_plot.draw, datasets)))
-    wanted = [drawing for group in groups for drawing in group]
-    room, listed = viewer.BYTES // max(len(datasets), 1), list[str]()
-    views: list[viewer.View | None] = []
+    views, listed = list[viewer.View | None](), list[str]()
 
     def views_and_tables() -> None:
-        for d, facts in both:
-            view = partial(viewer.viewer, d, facts, normalise, room)
-            what = f"the interactive plot of {d.name}"
-            views.append(lost.kept(what, view, lambda loss: None) if d.curves else None)
+        views.extend(_views(datasets, summary))
         listed.extend(files.write_tables(datasets, summary, views, folder / "tables"))
 
-    rest = iter(every := (workers or FigureWorkers()).draw(wanted, progress, views_and_tables))
+    wanted = [drawing for group in groups for drawing in group]
+    every = (workers or FigureWorkers()).draw(wanted, progress, views_and_tables)
     summary = replace(summary, figures=every, tables=listed)
+    rest = iter(every)
     drawn = [[next(rest) for _ in group] for group in groups]
-
     bare = {"index.html": titled(summary.title)}
-    own_drawn = drawn[: len(datasets) + len(transmission_only)]
+    pages = lost.kept("the page", lambda: _pages(datasets, summary, drawn, views), lambda loss: bare)
+    files.write_pages(folder, pages, summary, every)
+    return summary
+
+
+def _views(datasets: Sequence[Dataset], summary: Summary) -> list[viewer.View | None]:
+    """What the interactive plot of each sample shows; None where it has no curves."""
+    room, views = viewer.BYTES // max(len(datasets), 1), list[viewer.View | None]()
+    for d, facts in zip(datasets, summary.datasets, strict=True):
+        view = partial(viewer.viewer, d, facts, summary.normalise, room)
+        views.append(lost.kept(f"the interactive plot of {d.name}", view, lambda loss: None) if d.curves else None)
+    return views
+
+
+def _pages(
+    datasets: Sequence[Dataset],
+    summary: Summary,
+    drawn: Sequence[Sequence[Figure]],
+    views: Sequence[viewer.View | None],
+) -> dict[str, Page]:
+    """The pages by the name of their file: of several samples with a plot of all of them."""
+    alone = len(datasets) + len(summary.transmission_only)
     beside: page.Beside = (None, ())
     if len(datasets) > 1:
         together = partial(across_plot.view, datasets, viewer.BYTES // 2)
         beside = lost.kept("the plot of all samples", together, lambda loss: None), drawn[-1]
-    pages = lost.kept("the page", lambda: page.render(summary, own_drawn, views, beside), lambda loss: bare)
-    files.write_pages(folder, pages, summary, every)
-    return summary
+    return page.render(summary, drawn[:alone], views, beside)
 
 
 def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]], radius: float | None) -> list[list[Drawing]]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gonio.shown import finite
+from gonio.typing import Floats
 from gonio_analysis.changes.point_by_point import laid_on
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, Line, curves, evenly, labels
 from gonio_analysis.fitting.observations import Observations
@@ -27,8 +28,9 @@ MOST_WAVES = 12
 """Wavelengths that can be chosen."""
 MOST_DRAWN = 1200
 """Values in one panel."""
-SPIKE = 30.0
-"""Largest value over the median above which a logarithmic plot comes first: a polar one shows the highest sample."""
+SPIKE, APART = 30.0, 6.0
+"""Largest value over the median, or over the largest of the lowest sample, above which a logarithmic plot comes first:
+a polar one shows the highest sample, and of one that is six times lower a blot."""
 
 
 Together = list[tuple[str, Curve]]
@@ -69,10 +71,11 @@ def view(datasets: Sequence[Dataset], room: int = viewer.BYTES) -> viewer.View |
     first = finite(shown[0].wavelength_nm)
     at = next((k for k, wave in enumerate(out) if wave["nm"] == first), 0)
     here = list(every.values())[at]
-    values = np.concatenate([curve.brdf for group in here for _, curve in group])
+    none = [np.empty(0)]
+    values = [np.concatenate([c.brdf for g in here for own, c in g if own == name] or none) for name in names]
     return {
         "name": " and ".join(names) if len(names) == 2 else f"{len(names)} samples",
-        "plot": "log" if _spiky(values) else "polar",
+        "plot": "log" if _logarithmic(values) else "polar",
         "moving": "θr" if here[0][0][1].scanned == "theta_r" else "θi",
         "at": at,
         "labels": list(dict.fromkeys(listed)),
@@ -86,9 +89,13 @@ def view(datasets: Sequence[Dataset], room: int = viewer.BYTES) -> viewer.View |
     }
 
 
-def _spiky(values: Any) -> bool:
-    positive = values[values > 0.0]
-    return bool(positive.size) and float(positive.max()) > SPIKE * float(np.median(positive))
+def _logarithmic(samples: Sequence[Floats]) -> bool:
+    """Whether a polar plot of these values would hide a sample, or all but a spike."""
+    positive = [values[values > 0.0] for values in samples if np.any(values > 0.0)]
+    if not positive:
+        return False
+    largest = [float(values.max()) for values in positive]
+    return max(largest) > min(SPIKE * float(np.median(np.concatenate(positive))), APART * min(largest))
 
 
 def _laid(data: Sequence[Observations]) -> list[Observations]:
@@ -136,11 +143,11 @@ def draw(datasets: Sequence[Dataset]) -> list[Drawing]:
             Line(name, nothing, nothing, nothing, nothing, nothing) for name in names
         ]  # fmt: skip
         panels.append((label, lines))
-    spiky = any(_spiky(np.concatenate([line.theory for line in lines])) for _, lines in panels)
+    logarithmic = any(_logarithmic([line.theory for line in lines]) for _, lines in panels)
     at = "" if math.isnan(shown[0].wavelength_nm) else f" at {shown[0].wavelength_nm:g} nm"
     caption = f"All samples in the plane of incidence{at}: {', '.join(names)}; a panel for each angle of incidence."
     rows = -(-len(panels) // 2)
-    on = partial(_on_panels, panels=panels, logarithmic=spiky)
+    on = partial(_on_panels, panels=panels, logarithmic=logarithmic)
     return [Drawing("samples", "samples", "", caption, caption, (7.0, 0.5 + 2.1 * rows), on)]
 
 

@@ -244,7 +244,8 @@ def _on_overview(figure: Any, *, who: Sequence[Laboratory]) -> None:
         ax.locator_params(axis="x", nbins=5)
         ax.set_xlabel(label)
         in_plane.clean(ax)
-    axes[2].set_xlim(0.0, None if any(value > 0 and math.isfinite(value) for value in scatters) else 2.0)
+    positive = [value for value in scatters if value > 0 and math.isfinite(value)]
+    axes[2].set_xlim(0.0, 1.08 * max([*positive, 1.0]) if positive else 2.0)  # marks stand clear of the edge
     axes[0].set_yticks(rows, [short(x.name, 1.5, handle_pt=0.0) for x in who])
     axes[0].set_ylim(-0.6, len(who) - 0.4)
 

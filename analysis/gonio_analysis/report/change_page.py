@@ -42,7 +42,7 @@ LARGEST_ZERO = float(np.radians(5.0))
 _ANGLES = {"theta_r": "θr", "theta_i": "θi"}
 FOOTER = footer(
     "Every number on this page is in `summary.json`, every compared value in `tables/change.csv`, the figures as SVG "
-    "and PNG in `figures/`."
+    "in `figures/`."
 )
 BY_CHANCE = term("p", "The probability of so much by chance, where nothing changed.")
 FACTOR = term("common factor of B over A", "By least squares, with the covariance of both.")

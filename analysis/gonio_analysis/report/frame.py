@@ -11,12 +11,9 @@ from gonio_analysis.report.blocks import Block, Group, Heading, Page, header
 from gonio_analysis.report.text import slug
 
 
-def answer(verdict: Sequence[Block], picture: Sequence[Block] = (), table: Sequence[Block] = (), *more: Block) -> Group:
-    """The first screen: a verdict, and below it a picture with a table beside it; on a phone one below the other.
-
-    `more` stands below both.
-    """
-    return Group("section", (*verdict, *beside(picture, table), *_shown(more)), look="answer")
+def answer(verdict: Sequence[Block], picture: Sequence[Block] = (), table: Sequence[Block] = ()) -> Group:
+    """The first screen: a verdict, and below it a picture with a table beside it; on a phone one below the other."""
+    return Group("section", (*verdict, *beside(picture, table)), look="answer")
 
 
 def beside(left: Iterable[Block], right: Iterable[Block]) -> list[Block]:

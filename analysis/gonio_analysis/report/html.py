@@ -12,6 +12,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from gonio import look
 from gonio.shown import visible
 from gonio_analysis.report.blocks import Block, Figures, Group, Page, PixelViewer, Viewer, figures_of, plain, spans
 from gonio_analysis.report.text import glued
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 LOOK = ("style.css", "document.html.jinja", "blocks.html.jinja", "viewer.js", "page.js")
 """The files that say how a page looks."""
+SHARED = ("style.css", "page.js")
+"""Those of them that live pages have, too."""
 
 
 def document(page: Page) -> str:
@@ -28,14 +31,14 @@ def document(page: Page) -> str:
     shown = program() if _has(page.blocks, Viewer | PixelViewer) else ""
     shown += _file("pixels.js") if _has(page.blocks, PixelViewer) else ""
     shown += _file("page.js")
-    look = {"style": _file("style.css"), "program": shown, "made_by": made_by()}
-    return _template("document").render(title=page.title, blocks=page.blocks, **look)
+    told = {"style": _file("style.css"), "program": shown, "made_by": made_by()}
+    return _template("document").render(title=page.title, blocks=page.blocks, **told)
 
 
 def made_by() -> str:
     """Which program made a page, and which version of the page's look: "gonio 0.2.0, page 3f2a91c7"."""
-    look = "".join(_file(name) for name in LOOK)
-    return f"gonio {version('gonio')}, page {hashlib.sha256(look.encode()).hexdigest()[:8]}"
+    every = "".join(_file(name) for name in LOOK)
+    return f"gonio {version('gonio')}, page {hashlib.sha256(every.encode()).hexdigest()[:8]}"
 
 
 def program() -> str:
@@ -78,7 +81,7 @@ def _has(blocks: Sequence[Block], kind: Any) -> bool:
 
 @cache
 def _file(name: str) -> str:
-    return files("gonio_analysis.report").joinpath(name).read_text(encoding="utf-8")
+    return look.part(name) if name in SHARED else files("gonio_analysis.report").joinpath(name).read_text("utf-8")
 
 
 @cache

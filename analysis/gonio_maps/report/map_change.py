@@ -45,7 +45,7 @@ METHOD = (
 )
 FOOTER = footer(
     "Every number on this page is in `summary.json`, every changed pixel in `tables/changed.csv`, the figures as SVG "
-    "and PNG in `figures/`."
+    "in `figures/`."
 )
 
 
@@ -94,7 +94,7 @@ def conclusion(c: MapChange) -> str:
     if not n:
         return f"No sign that anything changed: none of {c.compared} pixels stands out, all judged together."
     own = [f"{x.name} in {int(x.marked.sum())}" for x in c.parameters if x.marked.any()]
-    each = f" By itself, {', '.join(own)}." if own else ""
+    each = f" Each parameter by itself changed: {', '.join(own)}." if own else ""
     by_chance = 100 * FALSE_DISCOVERIES
     return f"{n} of {c.compared} pixels changed ({percent(c.share)}), about {by_chance:g} % of these by chance.{each}"
 

@@ -406,9 +406,10 @@ def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
 
     def of(maps: Sequence[Figure]) -> Page:
         picture = [told.view, Figures(tuple(maps[:1]), printed=True)]
-        first = frame.answer([lead(told.conclusion)], picture, [], *parameters)
+        first = frame.answer([lead(told.conclusion)], picture)
         others = [Heading(3, "Maps", f"{len(maps)}"), Figures(tuple(maps[1:]))]
-        return frame.page(told.title, dated("A map", made), first, folds=[*others, *behind], foot=FOOTER)
+        folds = [*others, *behind]
+        return frame.page(told.title, dated("A map", made), first, shown=parameters, folds=folds, foot=FOOTER)
 
     room = MOST_BYTES - html.size(html.document(of([])))
     return of(figures_of([html.within(Figures(tuple(every)), room)]))

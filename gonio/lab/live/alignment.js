@@ -166,8 +166,8 @@ function tell(look) {
 function exposure(look) {
   const a = look.advice, bad = /saturated|too bright/.test(a.text);
   text("advice", a.text);
-  classes("advice", "big " + (a.text === "good" ? "good" : bad ? "bad" : ""));
-  classes("level", "bar" + (bad ? " bad" : ""));
+  classes("advice", a.text === "good" ? "good" : bad ? "bad" : "");
+  classes("level", "level" + (bad ? " bad" : ""));
   $("level").querySelector(".fill").style.width = `${100 * Math.min(Math.max(a.level, 0), 1)}%`;
   $("level").querySelector(".mark").style.left = `${100 * a.target}%`;
   const where = look.predicted.region_pixels === null ? "frame" : "region";
@@ -182,7 +182,7 @@ function exposure(look) {
 function focus(look) {
   const f = look.focus;
   text("focus", f.value === null ? f.why : `${digits(100 * f.value / f.best, 0)} % of the best`);
-  classes("focus", "big" + (f.value === null ? " none" : f.value > 0.98 * f.best ? " good" : ""));
+  classes("focus", f.value === null ? "none" : f.value > 0.98 * f.best ? "good" : "");
   text("focus-note", f.value === null
     ? (f.best === null ? "" : `best ${short(f.best)}`)
     : `${short(f.value)} ± ${short(f.u, 1)} a pixel, best ${short(f.best)}`);
@@ -214,13 +214,13 @@ function histogram(look) {
   text("left", "0 DN");
   text("right", `${look.white_dn} DN`);
   const counts = look.levels.map(l => (l.channel === "mono" ? "" : l.channel + " ") + l.saturated);
-  text("saturation", `Saturated pixels: ${counts.join(", ")}` +
+  text("saturation", `saturated pixels: ${counts.join(", ")}` +
     (look.saturated_in_region === null ? "" : `; ${look.saturated_in_region} in the region`));
 }
 
 function spot(look) {
   const s = look.spot;
-  classes("spot", "big" + (s === null ? " none" : ""));
+  classes("spot", s === null ? "none" : "");
   if (s === null) {
     text("spot", look.spot_said);
     facts("spot-facts", []);

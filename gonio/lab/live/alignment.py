@@ -5,6 +5,7 @@ from typing import Protocol
 
 from gonio.lab.live.event_log import EventLog
 from gonio.lab.live.server import Content, Request, Route
+from gonio.look import part
 from gonio.typing import JsonObject
 
 KEPT = 3
@@ -49,11 +50,14 @@ class AlignmentPage:
         self.events.tell("end", {"dark": dark})
 
     def _page(self, request: Request) -> Content:
-        self.seen, folder = True, files("gonio.lab.live")
-        text, style, script = (
-            (folder / f"alignment.{ending}").read_text(encoding="utf-8") for ending in ("html", "css", "js")
-        )
-        text = text.replace("{style}", style).replace("{script}", script).replace("{nonce}", request.nonce)
+        self.seen = True
+        folder = files(__package__)
+        own = {"style": "alignment.css", "program": "alignment.js"}
+        parts = {word: folder.joinpath(name).read_text(encoding="utf-8") for word, name in own.items()}
+        parts |= {"look": part("style.css"), "live": part("live.css"), "every": part("page.js")}
+        text = folder.joinpath("alignment.html").read_text(encoding="utf-8")
+        for word, filled in (parts | {"nonce": request.nonce}).items():
+            text = text.replace("{{" + word + "}}", filled)
         return Content(text.encode(), "text/html")
 
     def _of(self, request: Request) -> Pictures | None:

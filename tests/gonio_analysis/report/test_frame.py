@@ -13,6 +13,7 @@ from gonio_analysis.report import appearance, change, html, laboratories
 from gonio_analysis.report.blocks import (
     Block,
     Figures,
+    Footer,
     Group,
     Page,
     Paragraph,
@@ -36,9 +37,13 @@ from gonio_watch import serving as watching
 
 from gonio import measurement
 from gonio.geometry import direction
+from gonio.lab.live.alignment import AlignmentPage
+from gonio.lab.live.server import Request
+from gonio.look import part
 from gonio.models import build
 from tests.browser import CHROMIUM
 from tests.browser import Page as Tab
+from tests.command_line import some
 from tests.gonio_analysis.changes.test_laboratories import measured
 from tests.gonio_analysis.synthetic import measure
 from tests.gonio_maps.map_files import fits, values
@@ -266,6 +271,19 @@ def test_one_title_and_identifiers_of_their_own(made: Made) -> None:
     assert inner <= set(named)
 
 
+def test_the_foot_names_files_that_are_there(made: Made) -> None:
+    folder = made.file.parent / "out"
+    if not folder.exists():
+        pytest.skip("made without its files")
+    foot = made.page.blocks[-1]
+    assert isinstance(foot, Footer)
+    text = plain(foot.text)
+    named = re.findall(r"[\w/.-]+(?:\.(?:json|csv|toml|txt|h5)|/)(?=[\s.,;]|$)", text)
+    assert named
+    assert [name for name in named if not (folder / name).exists()] == []
+    assert ("PNG" in text) == bool(list(folder.rglob("*.png")))
+
+
 def test_a_comparison_has_one_factor(tmp_path: Path) -> None:
     """0.62 was made; the page once said another one beside it, by other weights."""
     two_sides(tmp_path)
@@ -278,12 +296,23 @@ def test_a_comparison_has_one_factor(tmp_path: Path) -> None:
     assert not re.search(r"divided by [\d.]", words)
 
 
-def test_the_live_page_has_the_frame_too() -> None:
-    """It fills itself, so that its text is looked at; `test_watch_browser` looks at it in a window."""
-    text = watching.page("nonce").decode().partition("<body>")[2].partition("<script")[0]
-    parts = ("<h1", "</header>", 'class="answer"', 'class="lead"', 'id="curves"', "<table", "<details", "<footer")
-    assert [text.count(part) for part in parts[:4]] == [1, 1, 1, 1]
-    at = [text.index(part) for part in parts]
+@pytest.mark.parametrize(
+    ("page", "picture"),
+    [
+        (lambda: watching.page("nonce"), 'id="curves"'),
+        (lambda: some(AlignmentPage().routes["/"](Request({}, "nonce"))).body, 'id="picture"'),
+    ],
+    ids=["watch", "alignment"],
+)
+def test_live_pages_have_the_frame_too(page: Callable[[], bytes], picture: str) -> None:
+    """They fill themselves, so that their texts are looked at; their own tests look at them in a window."""
+    whole = page().decode()
+    assert "{{" not in whole.partition("</head>")[0]
+    assert all(rule in whole for rule in (part("style.css"), part("live.css"), part("page.js")))
+    text = whole.partition("<body>")[2].partition("<script")[0]
+    parts = ("<h1", "</header>", 'class="answer"', 'class="lead"', picture, "<table", "<details", "<footer")
+    assert [text.count(one) for one in parts[:4]] == [1, 1, 1, 1]
+    at = [text.index(one) for one in parts]
     assert at == sorted(at)
     folds = re.findall(
         r"<details[^>]*>\s*<summary><h3>[^<]+</h3><span class=\"result\"[^>]*>[^<]+</span></summary>", text

@@ -94,7 +94,7 @@ def test_the_page_fits_its_window_and_controls_nothing(at_work: Session, tab: Pa
         tab.open(server.address, width)
         tab.until(f"document.body.dataset.frame == '{number}'")
         assert tab.run("document.documentElement.scrollWidth <= innerWidth")
-        inside = "[...document.querySelectorAll('article *')].filter(e => e.clientWidth)"
+        inside = "[...document.querySelectorAll('td *, details *')].filter(e => e.clientWidth)"
         assert tab.run(f"{inside}.filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.id).join()") == ""
         assert tab.run("document.querySelectorAll('button, input, select, textarea, form, a').length") == 0
         page.end(dark=False)

@@ -68,12 +68,27 @@
     box.style.top = `${below + box.offsetHeight > innerHeight && above > 0 ? above : below}px`;
   }
   const hush = () => { box.hidden = true; };
+  const known = new Map();
   for (const term of document.querySelectorAll(".term")) {
+    known.set(term.textContent.trim(), term.title);
     term.dataset.meaning = term.title;
     term.setAttribute("aria-description", term.title);
     term.removeAttribute("title");
     for (const event of ["mouseenter", "focus", "click"]) term.addEventListener(event, () => tell(term));
     for (const event of ["mouseleave", "blur"]) term.addEventListener(event, hush);
+  }
+  if (known.size) { // no paper can be touched: there they stand at the end
+    const put = (name, text, into) => into.appendChild(Object.assign(document.createElement(name), { textContent: text }));
+    const last = document.createElement("section");
+    last.className = "terms";
+    put("h3", "Terms", last);
+    const list = put("dl", "", last);
+    list.className = "facts";
+    for (const [name, meaning] of [...known].sort(([a], [b]) => a.localeCompare(b))) {
+      put("dt", name, list);
+      put("dd", meaning, list);
+    }
+    document.querySelector("main > footer").before(last);
   }
   addEventListener("scroll", hush, { passive: true });
   addEventListener("keydown", (event) => event.key === "Escape" && hush());
