@@ -1,6 +1,7 @@
 """How wide stated uncertainties are: errors of many seeds of one plan over what each of them states.
 
     python -m tests.gonio.lab.reduction.widths sim --seeds 100 --jobs 2
+    python -m tests.gonio.lab.reduction.widths sim --long --seeds 100 --jobs 2
     python -m tests.gonio.lab.reduction.widths sim --pixels --seeds 100 --jobs 2
 
 Printed are (value - truth)/u, root mean square over values and seeds, and chi-square over n with the stated covariance,
@@ -95,11 +96,12 @@ def with_even_zeros(chosen: RigChoice, file: Path, seed: int) -> RigChoice:
     return replace(chosen, description=described.model_copy(update={"truth": str(file)}))
 
 
-def of_table(name: str, folder: Path, seed: int) -> Seed:
-    """25 values of `GLOSSY`, and one that the arms block."""
+def of_table(name: str, folder: Path, seed: int, *, long: bool = False) -> Seed:
+    """25 values of `GLOSSY`, and one that the arms block; or 66 of three incidences, with four visits."""
     out = folder / f"{name}-{seed}"
     chosen = with_even_zeros(without_certificate(rig(name=name)), out.with_suffix(".toml"), seed)
-    carry_out(plan((20, 55), SIGNED_DEG), chosen, out, sample=GLOSSY, seed=seed, yes=True)
+    chosen_plan = plan((20, 40, 55), tuple(range(-66, 67, 6))) if long else plan((20, 55), SIGNED_DEG)
+    carry_out(chosen_plan, chosen, out, sample=GLOSSY, seed=seed, yes=True)
     found = reduce_in_parts(Run.open(out))
     used = (found.table["flag"] == "").to_numpy()
     table, parts = found.table[used], found.budget[used]
@@ -178,12 +180,15 @@ def main() -> None:
     parser.add_argument("rig")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--long", action="store_true")
     parser.add_argument("--pixels", action="store_true")
     parser.add_argument("--pixel-mm", type=float)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(asked.jobs) as pool:
-        one = partial(of_map, asked.rig, asked.pixel_mm) if asked.pixels else partial(of_table, asked.rig)
-        seeds = list(pool.map(partial(one, Path(folder)), range(asked.seeds)))
+        one = partial(of_table, asked.rig, Path(folder), long=asked.long)
+        if asked.pixels:
+            one = partial(of_map, asked.rig, asked.pixel_mm, Path(folder))
+        seeds = list(pool.map(one, range(asked.seeds)))
     for label, found in (("all", width(seeds)), ("without open ones", width(seeds, without_open=True))):
         print(f"{label}: scatter over u {found.rms:.3f} +- {found.u_rms:.3f}")
         print("  by value", np.round(found.by_value, 2).tolist())
