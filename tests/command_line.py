@@ -45,6 +45,17 @@ def gonio(folder: Path, *arguments: str | Path, expect: int | None = None) -> su
     return done
 
 
+def beside(site: str | Path, folder: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a command that finds the packages of a folder, too; what it has imported of them is forgotten again."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(site)
+        try:
+            return gonio(folder, *arguments)
+        finally:
+            for module in Path(site).glob("*.py"):
+                sys.modules.pop(module.stem, None)
+
+
 @contextmanager
 def no_room_beyond(size: int) -> Iterator[None]:
     """The system writes no file beyond `size` bytes, in the middle of whatever writes it: as on a disk that is full."""

@@ -140,8 +140,6 @@ def test_importing_the_commands_imports_nothing_heavy() -> None:
 
 
 FITTED: dict[str, tuple[dict[str, Any], str | None]] = {
-    "lambert": ({"albedo": 0.6}, None),
-    "oren-nayar": ({"albedo": 0.6, "sigma_deg": 20.0}, None),
     "blinn": ({"k_d": 0.2, "k_s": 0.4, "c": 0.3, "ior": 1.5}, "1.5"),
     "cook-torrance": ({"s": 0.3, "m": 0.25, "diffuse_albedo": 0.2, "ior": [1.5, 0.2]}, "1.5+0.2j"),
     "he-torrance": ({"sigma0_um": 0.28, "tau_um": 1.77, "ior": "Al"}, "Al"),

@@ -41,6 +41,8 @@ QUICK = (
 )
 """The command with short waits."""
 PHASES = ["dark frames", "warm-up", "exposure", "move", "darkening"]
+STRUCK = [*((phase, signal.SIGKILL) for phase in PHASES), *((phase, signal.SIGSTOP) for phase in PHASES[1:4:2])]
+"""Killed in every phase, and stopped where the lamp warms up and where an arm moves: each takes seconds."""
 Blow = Callable[[subprocess.Popen[str]], object]
 
 
@@ -171,8 +173,7 @@ class Struck:
         assert_true(Run.open(self.folder / "run"), 4)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize(("phase", "number"), STRUCK)
 def test_a_program_that_is_killed_or_stands_still_leaves_no_lamp_lit_and_its_frames_are_no_data(
     twins: Twins, tmp_path: Path, phase: str, number: signal.Signals
 ) -> None:
@@ -188,8 +189,7 @@ def test_a_program_that_is_killed_or_stands_still_leaves_no_lamp_lit_and_its_fra
     struck.measured(resume=killed)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize(("phase", "number"), STRUCK)
 def test_another_guard_comes_for_one_that_is_killed_or_stopped(
     twins: Twins, tmp_path: Path, phase: str, number: signal.Signals
 ) -> None:

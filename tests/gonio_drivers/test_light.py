@@ -182,7 +182,7 @@ def test_a_band_changes_while_the_lamp_is_lit(lamp: Plugged) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lamp-nak", "lamp-silent", "lamp-reset"])
-@pytest.mark.parametrize("when", range(0, 9, 2))
+@pytest.mark.parametrize("when", range(0, 9, 3))
 def test_a_fault_at_any_exchange_is_mended_or_told(lamp: Plugged, fault: str, when: int) -> None:
     """Whichever exchange it hits: afterwards the lamp shines as asked, or an error says that it does not."""
     with lamp.driver(timeout_s=SHORT_S) as light:

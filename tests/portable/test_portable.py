@@ -132,16 +132,13 @@ def test_the_quick_demo(tmp_path: Path) -> None:
     assert "θ" in page
 
 
-@pytest.mark.parametrize("console", ["yes", "no"])
-def test_read_fit_compare_report_convert(files: Path, console: str) -> None:
-    env = environment(GONIO_SHIM_CONSOLE=console)
-    run(files, *MEASURE, "--out", "run", env=env)
-    run(files, "reduce", "run", env=env)
-    run(files, "fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml", env=env)
-    run(files, "compare", "run/brdf.csv", "--models", "lambert,oren-nayar", "--out", "page", env=env)
-    run(files, "report", "run", "--models", "lambert", env=env)
-    run(files, "convert", "run/brdf.csv", "run.astm", env=env)
-    run(files, "convert", "run.astm", "back.csv", env=env)
+def test_read_fit_compare_report_convert(files: Path) -> None:
+    run(files, *MEASURE, "--out", "run")
+    run(files, "reduce", "run")
+    run(files, "fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml")
+    run(files, "compare", "run/brdf.csv", "--models", "lambert,oren-nayar", "--out", "page")
+    run(files, "convert", "run/brdf.csv", "run.astm")
+    run(files, "convert", "run.astm", "back.csv")
     back = measurement.read(files / "back.csv")
     assert len(back) == 12
     names = {path.name.split(".")[0] for path in files.rglob("*")}
@@ -162,6 +159,7 @@ def steps_in(run_folder: Path) -> list[int]:
 
 @pytest.mark.parametrize("console", ["yes", "no"])
 def test_a_killed_run_is_taken_up_again_and_followed(files: Path, console: str) -> None:
+    """With the locks of Windows, and without any: what else a console has no part in commands."""
     env = environment(GONIO_SHIM_CONSOLE=console)
     begun = subprocess.Popen(
         [*COMMAND, *MEASURE, "--out", "run"], cwd=files, env=env, stdin=subprocess.DEVNULL,

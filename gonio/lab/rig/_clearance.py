@@ -1,6 +1,7 @@
 """Clearance of bodies over a whole box of angles: the compiled loop of `gonio.lab.rig.motion_planning`.
 
 A body is all that lies within a radius of the convex hull of some points: a ball has one, a capsule two, a box eight.
+Vectors are written out component by component: numba takes seconds to compile an assignment of one array to another.
 """
 
 import math
@@ -64,7 +65,11 @@ def carried(on: int, angles: Floats, frames: Floats, onto: Floats, shift: Floats
 @njit()
 def _after(turn: Floats, around: Floats, onto: Floats, shift: Floats) -> None:
     """Turn what is placed already around a point."""
-    first, moved = onto.copy(), shift - around
+    first, moved = np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        moved[i] = shift[i] - around[i]
+        for j in range(3):
+            first[i, j] = onto[i, j]
     for i in range(3):
         shift[i] = around[i]
         for j in range(3):
@@ -116,12 +121,17 @@ def _dot(a: Floats, b: Floats) -> Any:
 
 
 @njit()
+def _difference(a: Floats, b: Floats) -> Any:
+    return np.array([a[0] - b[0], a[1] - b[1], a[2] - b[2]])
+
+
+@njit()
 def _nearest_of_triangle(a: Floats, b: Floats, c: Floats, weights: Floats) -> None:
     """The point of a triangle that is nearest to the origin, by the weights of its corners.
 
     Ericson (2005), section 5.1.5.
     """
-    ab, ac = b - a, c - a
+    ab, ac = _difference(b, a), _difference(c, a)
     d1, d2, d3 = -_dot(ab, a), -_dot(ac, a), -_dot(ab, b)
     d4, d5, d6 = -_dot(ac, b), -_dot(ab, c), -_dot(ac, c)
     weights[0], weights[1], weights[2] = 0.0, 0.0, 0.0
@@ -162,36 +172,43 @@ def _nearest(simplex: Floats, count: int, out: Floats) -> int:
                 (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2]),
                 (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]),
             ])  # fmt: skip
-            edge = simplex[k] - a
+            edge = _difference(simplex[k], a)
             own, origin = _dot(normal, edge), -_dot(normal, a)
             if own * origin <= 0.0 or own * own <= FLAT * FLAT * _dot(normal, normal) * _dot(edge, edge):
                 inside = False
         if inside:
             return 0
     faces = 4 if count == 4 else 1
+    corners, point, corners_kept = np.empty(3, np.int64), np.empty(3), np.empty((3, 3))
     for k in range(faces):
-        corners = np.array([(k + 1) % 4, (k + 2) % 4, (k + 3) % 4]) if count == 4 else np.arange(3)
+        for j in range(3):
+            corners[j] = (k + 1 + j) % 4 if count == 4 else j
         if count == 2:
-            line = simplex[1] - simplex[0]
+            line = _difference(simplex[1], simplex[0])
             long = _dot(line, line)
             weights[1] = min(max(-_dot(line, simplex[0]) / long, 0.0), 1.0) if long > 0.0 else 0.0
             weights[0], weights[2] = 1.0 - weights[1], 0.0
         else:
             _nearest_of_triangle(simplex[corners[0]], simplex[corners[1]], simplex[corners[2]], weights)
-        point = np.zeros(3)
-        for j in range(3):
-            if weights[j] > 0.0:
-                point += weights[j] * simplex[corners[j]]
+        for i in range(3):
+            point[i] = 0.0
+            for j in range(3):
+                if weights[j] > 0.0:
+                    point[i] += weights[j] * simplex[corners[j], i]
         size = _dot(point, point)
         if size < best:
             best, kept = size, 0
-            out[:] = point
             for j in range(3):
+                out[j] = point[j]
                 if weights[j] > 0.0:
                     keep[kept] = corners[j]
                     kept += 1
-    corners_kept = simplex[keep[:kept]].copy()
-    simplex[:kept] = corners_kept
+    for j in range(kept):
+        for i in range(3):
+            corners_kept[j, i] = simplex[keep[j], i]
+    for j in range(kept):
+        for i in range(3):
+            simplex[j, i] = corners_kept[j, i]
     return kept
 
 
@@ -204,8 +221,9 @@ def between(a: Floats, count_a: int, b: Floats, count_b: int, least: float, enou
     """
     if count_a <= 2 and count_b <= 2:
         return between_lines(a[0], a[count_a - 1], b[0], b[count_b - 1])
-    simplex, toward = np.empty((4, 3)), a[0] - b[0]
-    simplex[0] = toward
+    simplex, toward = np.empty((4, 3)), _difference(a[0], b[0])
+    for i in range(3):
+        simplex[0, i] = toward[i]
     count, proved = 1, 0.0
     for _ in range(STEPS):
         size = math.sqrt(_dot(toward, toward))
@@ -223,11 +241,12 @@ def between(a: Floats, count_a: int, b: Floats, count_b: int, least: float, enou
         proved = max(proved, (low - high) / size)
         if proved > enough or size - proved <= SAME * size:
             return proved
-        corner = a[low_k] - b[high_k]
+        corner = _difference(a[low_k], b[high_k])
         for k in range(count):
             if simplex[k, 0] == corner[0] and simplex[k, 1] == corner[1] and simplex[k, 2] == corner[2]:
                 return proved
-        simplex[count] = corner
+        for i in range(3):
+            simplex[count, i] = corner[i]
         count = _nearest(simplex, count + 1, toward)
         if count == 0:
             return 0.0
@@ -261,7 +280,9 @@ def _descended(
     room: Floats, least: float, at: Floats,
 ) -> float:  # fmt: skip
     """The least room found by going downhill from angles in a box, along one axis at a time; `at` goes there."""
-    step = (highs - lows) / 4
+    step = np.empty(5)
+    for k in range(5):
+        step[k] = (highs[k] - lows[k]) / 4
     for _ in range(DOWNHILL):
         better = False
         for k in range(5):
@@ -278,7 +299,8 @@ def _descended(
         if least <= 0.0:
             break
         if not better:
-            step = step / 2
+            for k in range(5):
+                step[k] /= 2
     return least
 
 
@@ -306,12 +328,12 @@ def too_close(
     most
         Boxes that are looked at before the rest counts as too close.
     """
-    boxes = np.empty((DEEPEST, 2, 5))
-    boxes[0, 0], boxes[0, 1] = lows, highs
-    waiting = 1
-    middle = (lows + highs) / 2
-    room = np.empty((2, points.shape[1], 3))
-    closest, where = np.inf, middle.copy()
+    boxes, room = np.empty((DEEPEST, 2, 5)), np.empty((2, points.shape[1], 3))
+    middle, where, moves = np.empty(5), np.empty(5), np.empty(5)
+    for k in range(5):
+        boxes[0, 0, k], boxes[0, 1, k] = lows[k], highs[k]
+        where[k] = (lows[k] + highs[k]) / 2
+    waiting, closest = 1, np.inf
     for number in range(most):
         if number == SOON:  # where bodies do meet, this finds it sooner than halving does
             closest = _descended(tied, on, points, counts, distance, frames, lows, highs, room, closest, where)
@@ -320,22 +342,26 @@ def too_close(
         if waiting == 0:
             return middle[:0]
         waiting -= 1
-        low, high = boxes[waiting, 0].copy(), boxes[waiting, 1].copy()
-        middle = (low + high) / 2
-        moves = levers * (high - low) / 2
-        whole = moves.sum()
+        widest, whole = 0, 0.0
+        for k in range(5):
+            low, high = boxes[waiting, 0, k], boxes[waiting, 1, k]
+            middle[k], moves[k] = (low + high) / 2, levers[k] * (high - low) / 2
+            whole += moves[k]
+            if moves[k] > moves[widest]:
+                widest = k
         spare = spare_of(tied, on, points, counts, distance, middle, frames, room, whole)
         if spare > whole:
             continue
         if spare <= 0.0 or whole < finest or waiting + 2 > DEEPEST:
             return middle
         if spare < closest:
-            closest, where = spare, middle.copy()
-        k = np.argmax(moves)
-        boxes[waiting, 0], boxes[waiting, 1] = low, high
-        boxes[waiting, 1, k] = middle[k]
-        boxes[waiting + 1, 0], boxes[waiting + 1, 1] = low, high
-        boxes[waiting + 1, 0, k] = middle[k]
+            closest = spare
+            for k in range(5):
+                where[k] = middle[k]
+        for k in range(5):
+            boxes[waiting + 1, 0, k], boxes[waiting + 1, 1, k] = boxes[waiting, 0, k], boxes[waiting, 1, k]
+        boxes[waiting, 1, widest] = middle[widest]
+        boxes[waiting + 1, 0, widest] = middle[widest]
         waiting += 2
     return where
 
@@ -356,7 +382,7 @@ def first_too_close(
         )  # fmt: skip
         if len(found) > 0:
             return pair, found
-    return -1, (lows + highs) / 2
+    return -1, np.empty(0)
 
 
 @njit()

@@ -43,6 +43,21 @@ def beside(angles: Floats, wanted: Floats, frames: Floats, heads: Floats, centre
 
 
 @njit()
+def _product(a: Floats, b: Floats) -> Any:
+    total = 0.0
+    for k in range(6):
+        total += a[k] * b[k]
+    return total
+
+
+@njit()
+def _copy(source: Floats, into: Floats) -> None:
+    """`into[:] = source`, which takes numba a second to compile."""
+    for k in range(len(source)):
+        into[k] = source[k]
+
+
+@njit()
 def closer(start: Floats, axes: Any, wanted: Floats, frames: Floats, heads: Floats, centre: Floats, surface: Floats,
            steps: int, enough: float, out: Floats) -> Any:  # fmt: skip
     """Levenberg & Marquardt's method over some axes; the root of the sum of squares that is left [rad].
@@ -50,25 +65,26 @@ def closer(start: Floats, axes: Any, wanted: Floats, frames: Floats, heads: Floa
     Nocedal & Wright (2006), section 10.3.
     """
     n, damping = len(axes), FIRST_DAMPING
-    out[:] = start
-    error, then, slopes = np.empty(6), np.empty(6), np.empty((6, MOST))
+    _copy(start, out)
+    error, then, slopes = np.empty(6), np.empty(6), np.empty((MOST, 6))
     matrix, step, place = np.empty((MOST, MOST)), np.empty(MOST), np.empty(MOST)
     beside(out, wanted, frames, heads, centre, surface, error)
-    size = math.sqrt((error * error).sum())
+    size = math.sqrt(_product(error, error))
     for _ in range(steps):
         if size < enough or damping > LARGEST_DAMPING:
             break
         for k in range(n):
-            place[:] = out
+            _copy(out, place)
             place[axes[k]] += PROBE
             beside(place, wanted, frames, heads, centre, surface, then)
-            slopes[:, k] = (then - error) / PROBE
+            for i in range(6):
+                slopes[k, i] = (then[i] - error[i]) / PROBE
         while damping <= LARGEST_DAMPING:
             # (J'J + damping) step = -J'r by Cholesky's decomposition
             for i in range(n):
-                step[i] = -(slopes[:, i] * error).sum()
+                step[i] = -_product(slopes[i], error)
                 for j in range(i + 1):
-                    total = (slopes[:, i] * slopes[:, j]).sum() + (damping if i == j else 0.0)
+                    total = _product(slopes[i], slopes[j]) + (damping if i == j else 0.0)
                     for k in range(j):
                         total -= matrix[i, k] * matrix[j, k]
                     matrix[i, j] = math.sqrt(max(total, 1e-300)) if i == j else total / matrix[j, j]
@@ -80,13 +96,14 @@ def closer(start: Floats, axes: Any, wanted: Floats, frames: Floats, heads: Floa
                 for k in range(i + 1, n):
                     step[i] -= matrix[k, i] * step[k]
                 step[i] /= matrix[i, i]
-            place[:] = out
+            _copy(out, place)
             for k in range(n):
                 place[axes[k]] += step[k]
             beside(place, wanted, frames, heads, centre, surface, then)
-            smaller = math.sqrt((then * then).sum())
+            smaller = math.sqrt(_product(then, then))
             if smaller < size:
-                out[:], error[:] = place, then
+                _copy(place, out)
+                _copy(then, error)
                 size, damping = smaller, max(damping / 10.0, 1e-14)
                 break
             damping *= 10.0

@@ -86,7 +86,7 @@ def placed(on: Sequence[str], points: Sequence[Vector], angles: Floats, frames: 
 
 
 def _together(axes: tuple[int, ...], pairs: list[tuple[bool, Shape, Shape, float]], frames: Floats) -> Pairs:
-    tied, distances = np.array([tied for tied, *_ in pairs]), np.array([distance for *_, distance in pairs])
+    tied, distances = np.array([tied for tied, *_ in pairs]), np.array([distance for *_, distance in pairs], float)
     points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(kinematics.AXES)))
     for number, (_, *shapes, _) in enumerate(pairs):
         for which, shape in enumerate(shapes):

@@ -16,7 +16,7 @@ import typer
 
 from gonio import measurement, plugins
 from gonio.cli import application
-from tests.command_line import gonio, says
+from tests.command_line import beside, gonio, says
 from tests.gonio.numpy_rig import PLAN
 
 
@@ -234,11 +234,11 @@ def test_a_stranger_s_command_appears_and_a_broken_one_is_listed_with_its_error(
         "hello = stranger:hello\nwrong = stranger:absent\n",
         'def hello(name: str) -> None:\n    """Greet."""\n    print("hello", name)\n',
     )
-    shown = process(tmp_path, "--help", PYTHONPATH=site)
+    shown = beside(site, tmp_path, "--help")
     assert shown.returncode == 0
     says(shown.stdout, "Greet.", "AttributeError")
-    assert process(tmp_path, "hello", "you", PYTHONPATH=site).stdout == "hello you\n"
-    broken = process(tmp_path, "wrong", PYTHONPATH=site)
+    assert beside(site, tmp_path, "hello", "you").stdout == "hello you\n"
+    broken = beside(site, tmp_path, "wrong")
     assert broken.returncode == 2
     assert "stranger" in broken.stderr
 
@@ -252,22 +252,24 @@ def test_a_stranger_s_command_appears_and_a_broken_one_is_listed_with_its_error(
 )
 def test_a_broken_rig_is_listed_with_its_error(tmp_path: Path, module: str, said: str) -> None:
     site = installed(tmp_path, "gonio.rigs", "wreck = stranger:RIG\n", module)
-    done = process(tmp_path, "rig", "list", PYTHONPATH=site)
+    done = beside(site, tmp_path, "rig", "list")
     assert done.returncode == 0
     says(done.stdout, said, "sim-ideal")
     assert "loud" not in done.stdout
-    called = process(tmp_path, "rig", "show", "wreck", PYTHONPATH=site)
+    called = beside(site, tmp_path, "rig", "show", "wreck")
     assert called.returncode == 2
     assert 'gonio: the rig "wreck" (stranger:RIG) cannot be loaded: ' in called.stderr
 
 
-def test_what_should_not_happen_says_where_the_traceback_is(tmp_path: Path) -> None:
+def test_what_should_not_happen_says_where_the_traceback_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     site = installed(tmp_path, "gonio.commands", "crash = stranger:crash\n", "def crash() -> None:\n    1 / 0\n")
-    done = process(tmp_path, "crash", PYTHONPATH=site)
+    done = beside(site, tmp_path, "crash")
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     says(done.stderr, "GONIO_TRACEBACK", "ZeroDivisionError")
-    assert "Traceback" in process(tmp_path, "crash", PYTHONPATH=site, GONIO_TRACEBACK="1").stderr
+    monkeypatch.setenv("GONIO_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):  # which Python shows with its traceback
+        beside(site, tmp_path, "crash")
 
 
 @pytest.mark.parametrize(
@@ -286,11 +288,11 @@ def test_whatever_a_stranger_s_module_does_on_import_only_its_own_command_suffer
     tmp_path: Path, line: str, said: str
 ) -> None:
     site = installed(tmp_path, "gonio.commands", "wreck = stranger:cmd\n", line + "\n")
-    shown = process(tmp_path, "--help", PYTHONPATH=site)
+    shown = beside(site, tmp_path, "--help")
     assert shown.returncode == 0, shown.stderr
     says(shown.stdout, "wreck", "cannot be loaded", "report")
     assert "loud" not in shown.stdout
-    called = process(tmp_path, "wreck", "sub", "--out", "b", "-x", PYTHONPATH=site)
+    called = beside(site, tmp_path, "wreck", "sub", "--out", "b", "-x")
     assert called.returncode == 2
     message = called.stderr.splitlines()[-1]
     assert message.startswith('gonio: the command "wreck" (stranger:cmd) cannot be loaded: ')
@@ -406,7 +408,7 @@ def test_errors_of_the_system_are_named(raised: BaseException, code: int, words:
 
 def test_the_end_of_the_input_is_no_silent_abort(tmp_path: Path) -> None:
     site = installed(tmp_path, "gonio.commands", "ask = stranger:ask\n", "def ask() -> None:\n    input()\n")
-    done = process(tmp_path, "ask", PYTHONPATH=site)
+    done = beside(site, tmp_path, "ask")
     assert done.returncode == 1
     assert "EOFError" in done.stderr
     assert "Aborted" not in done.stderr
@@ -502,7 +504,7 @@ def test_an_export_that_fails_leaves_the_place_as_it_was(tmp_path: Path, name: s
     (tmp_path / "run").mkdir()
     if before:
         (tmp_path / "out").write_text("earlier")
-    done = process(tmp_path, "convert", "run", "out", "--to", "mine", PYTHONPATH=site)
+    done = beside(site, tmp_path, "convert", "run", "out", "--to", "mine")
     assert done.returncode == (2 if name == "unread" else 1)
     assert done.stderr.count("\n") == 1
     assert "should not happen" not in done.stderr

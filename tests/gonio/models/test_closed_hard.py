@@ -53,8 +53,10 @@ def check(got: float, formula: Callable[..., Any], angles: tuple[float, ...]) ->
     if abs(reference) < 1e-290:
         assert 0.0 <= got < 1e-280
         return
-    limit = 1e-13 * (1.0 + oracles.conditioning(formula, angles))
-    assert abs(got / reference - 1) <= limit, f"{got!r} instead of {mp.nstr(reference, 20)}, allowed {limit:.1e}"
+    off = abs(got / reference - 1)
+    if off > 1e-13:  # the conditioning takes ten times as long as the value
+        limit = 1e-13 * (1.0 + oracles.conditioning(formula, angles))
+        assert off <= limit, f"{got!r} instead of {mp.nstr(reference, 20)}, allowed {limit:.1e}"
 
 
 @pytest.mark.slow

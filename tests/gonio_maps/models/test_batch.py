@@ -261,7 +261,7 @@ def test_the_same_pixels_give_the_same_bits_in_any_company() -> None:
     np.testing.assert_array_equal(part.covariance, whole.covariance[17:29])
 
 
-@pytest.mark.parametrize("threads", [1, 3, 8])
+@pytest.mark.parametrize("threads", [3, 8])
 def test_the_number_of_threads_changes_no_bit(threads: int) -> None:
     d = drawn("cook-torrance", 8 * batch.WORTH, 15)
     d["values"][::7, 4] = np.nan

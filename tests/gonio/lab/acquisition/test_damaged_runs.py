@@ -26,7 +26,7 @@ from tests.gonio.numpy_rig import describe, plan_in
 pytestmark = pytest.mark.slow
 
 Damage = Callable[[Path, random.Random], None]
-PAIRS = 24
+PAIRS = 8
 
 
 def a_frame(run: Path, draw: random.Random) -> Path:

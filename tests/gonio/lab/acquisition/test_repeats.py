@@ -51,7 +51,7 @@ def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("at", [3, 4, 5])
+@pytest.mark.parametrize("at", [3, 5])
 def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     """A buffer of several pictures: none is the one before. The check names the step, and it is taken again."""
     whole = brdf.reduce(measure("other"))

@@ -99,7 +99,7 @@ def test_a_run_grows_until_its_chooser_has_enough(plan: Plan, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stopped_after", [1, 5, 6, 8, 11, 14])
+@pytest.mark.parametrize("stopped_after", [1, 5, 6, 11])
 def test_stopping_it_anywhere_changes_nothing(plan: Plan, tmp_path: Path, stopped_after: int) -> None:
     whole = measure(plan, tmp_path / "whole")
     with pytest.raises(Interrupted, match=f"after {stopped_after}|after {stopped_after + 1}"):

@@ -49,7 +49,7 @@ def drawn(kind: str, size: float, visits: int, count: int, seed: int) -> tuple[n
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("visits", [3, 4, 5, 8, 12])
+@pytest.mark.parametrize("visits", [3, 5, 12])
 def test_a_lamp_that_walks_is_within_its_uncertainty(visits: int) -> None:
     """Before, 95 % intervals held 70 to 87 %, and pulls of the level had a root mean square of up to 5.6.
 
@@ -86,7 +86,7 @@ def test_between_visits_without_noise_u_is_that_of_a_brownian_bridge() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("visits", [BLOCK, BLOCK + 1, 70])
+@pytest.mark.parametrize("visits", [BLOCK + 1, 70])
 def test_many_visits_are_looked_at_in_parts(visits: int) -> None:
     pulls, _, _ = drawn("walk", 2e-3, visits, 10, 7)
     assert 0.92 < np.mean(abs(pulls) <= 1.96) < 0.99  # 300 intervals and more: 1 %

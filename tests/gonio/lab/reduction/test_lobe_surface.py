@@ -72,7 +72,7 @@ def test_scattered_points_tell_the_slopes_of_a_lobe_and_how_uncertain_they_are(c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 2, 5])
+@pytest.mark.parametrize("count", [1, 5])
 def test_with_few_points_slopes_are_as_uncertain_as_lobes_are_steep(count: int) -> None:
     rng, pulls = np.random.default_rng(11), []
     for _ in range(30):
@@ -200,7 +200,7 @@ def test_an_azimuth_that_passes_half_a_turn_makes_no_slope() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 3, 40, 150])
+@pytest.mark.parametrize("count", [1, 3, 150])
 @pytest.mark.parametrize("u", [0.0, 0.3])
 def test_values_that_are_all_alike_or_read_twice_have_finite_slopes(count: int, u: float) -> None:
     rng = np.random.default_rng(count)

@@ -11,6 +11,7 @@ import pytest
 
 from gonio.lab.acquisition.run import Run
 from gonio.measurement import read
+from tests.command_line import beside
 from tests.gonio.cli.test_cli import installed, process
 from tests.places import ROOT, fenced
 
@@ -114,7 +115,7 @@ def test_the_guide_s_rig_names_wrong_settings(
     assert was in rig.read_text()
     rig.write_text(rig.read_text().replace(was, becomes))
     measure = ["measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", *(["--dry-run"] if dry else [])]
-    done = process(tmp_path, *measure, PYTHONPATH=stranger)
+    done = beside(stranger, tmp_path, *measure)
     assert done.returncode == code
     assert re.search(message, done.stderr), done.stderr
     assert not (tmp_path / "run").exists()
@@ -123,9 +124,7 @@ def test_the_guide_s_rig_names_wrong_settings(
 def test_a_rig_that_does_not_stamp_its_frames_is_told_how_to(tmp_path: Path, stranger: str) -> None:
     module = Path(stranger) / "stranger.py"
     module.write_text(module.read_text().replace("time_s=begun", "time_s=0.0"))
-    done = process(
-        tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes", PYTHONPATH=stranger
-    )
+    done = beside(stranger, tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes")
     assert done.returncode == 3
     assert 'the camera of the rig "bench in room 3" stamps a frame with time_s = 0.0' in done.stderr
     assert "time_s() at the start of its exposure" in done.stderr
