@@ -23,7 +23,9 @@ test-slow: .venv/.ready
 test-portable: .venv/.ready
 	$(PYTEST) -m portable tests/portable
 
-test-all: test test-slow test-portable
+# all in one run: tests are collected once, and no worker is idle at the end of a part
+test-all: .venv/.ready
+	$(PYTEST)
 
 # the lowest versions that pyproject.toml allows; with the newest: make test-oldest CONSTRAINTS=
 CONSTRAINTS = constraints-oldest.txt

@@ -36,6 +36,12 @@ def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.fsync", lambda descriptor: None)
 
 
+@pytest.fixture(autouse=True)
+def _drawn_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages start no process that draws along: each takes two seconds of processor. Tests of those say how many."""
+    monkeypatch.setattr("gonio_analysis.report.drawing.MOST_PROCESSES", 1)
+
+
 @pytest.fixture
 def one_id(monkeypatch: pytest.MonkeyPatch) -> None:
     """All runs have one id, so that they can be compared to the byte: nothing else differs from run to run."""
