@@ -16,6 +16,7 @@ from gonio.models.blinn import coefficient
 from tests.gonio.models.reference import cases
 
 EPS = float(np.finfo(float).eps)
+mp.mp.dps = 60
 
 
 def close(got: float, reference: str, condition: float | None, scale: float | None = None) -> None:

@@ -250,14 +250,14 @@ ELSEWHERE: dict[Any, Callable[..., None]] = {
 
 
 def ways(model: Model, at: Angles, every: bool) -> Iterator[tuple[str, Any]]:
-    """The BRDF at vectors, and by every other method, each of which has a loop of its own."""
+    """The BRDF at vectors and at angles, and by every other method, each of which has a loop of its own."""
     light, view = direction(at[0], at[1]), direction(at[2], at[3])
     waves = [WAVELENGTH_NM, 1.1 * WAVELENGTH_NM]
     apart: Any = [a[:, None] for a in at]
     yield "vectors", model.brdf_vectors(light, view, wavelength_nm=WAVELENGTH_NM)
+    yield "angles", model.brdf(*at, wavelength_nm=WAVELENGTH_NM)
     if not every:
         return
-    yield "angles", model.brdf(*at, wavelength_nm=WAVELENGTH_NM)
     yield "geometry", model.at(geometry(*at), wavelength_nm=WAVELENGTH_NM)
     yield "angles, wavelengths", model.brdf(*apart, wavelength_nm=waves)[:, 0]
     yield "vectors, wavelengths", model.brdf_vectors(light[:, None], view[:, None], wavelength_nm=waves)[:, 0]
