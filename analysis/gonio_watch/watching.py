@@ -362,12 +362,12 @@ def event_line(event: JsonObject) -> str:
     return f"{event['event'].replace('_', ' ')}: {event.get('text', '')}" + (f" ({why})" if why else "")
 
 
-def values_lines(watched: Watched, most: int = LISTED) -> list[str]:
+def values_lines(watched: Watched) -> list[str]:
     """The newest provisional values, the newest last."""
     out = []
     for band in watched.values.bands:
         name = f"{band['name']}: " if len(watched.values.bands) > 1 else ""
-        for theta_i, phi_i, theta_r, phi_r, brdf, u in band["values"][-most:]:
+        for theta_i, phi_i, theta_r, phi_r, brdf, u in band["values"][-LISTED:]:
             where = f"theta_i {theta_i:g}, theta_r {theta_r:g}, dphi {(phi_r - phi_i) % 360:g} deg"
             out.append(f"{name}{where}: ({with_u(brdf, u)}) 1/sr")
     return out

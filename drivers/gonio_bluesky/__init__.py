@@ -2,6 +2,6 @@
 
 from gonio_bluesky.devices import Devices, devices
 from gonio_bluesky.event_documents import Frames, documents
-from gonio_bluesky.measuring import Measurement, measurement, points_plan
+from gonio_bluesky.measuring import Measurement, measurement
 
-__all__ = ["Devices", "Frames", "Measurement", "devices", "documents", "measurement", "points_plan"]
+__all__ = ["Devices", "Frames", "Measurement", "devices", "documents", "measurement"]

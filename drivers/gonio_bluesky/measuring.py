@@ -13,13 +13,12 @@ the white reference come between the points where they belong.
 
 import math
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
 
-from gonio.errors import ArgumentError, ConfigError, Interrupted
+from gonio.errors import ConfigError, Interrupted
 from gonio.lab.acquisition import measure
 from gonio.lab.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.lab.acquisition.run import Run
@@ -379,7 +378,7 @@ def measurement(
     Parameters
     ----------
     plan
-        A plan file, or a plan as `points_plan` makes it.
+        A plan file, or a plan.
     rig
         "sim", another entry point, or the path of a rig file; or what `find_rig` makes of them.
     out
@@ -402,24 +401,6 @@ def measurement(
         raise ConfigError(f"{loaded.source}: [adaptive] chooses its points itself; measure it with `gonio measure`")
     described = measure.load_sample(sample) if isinstance(sample, (str, Path)) else sample
     return Measurement(loaded, choice, Path(out), {"sample": described, "seed": seed, "resume": resume, "yes": yes})
-
-
-def points_plan(name: str, wavelength_nm: Sequence[float], points: Sequence[Sequence[float]]) -> Plan:
-    """A plan of some points, each of them theta_i, phi_i, theta_r, phi_r [deg], theta_r signed or not.
-
-    Raises `ConfigError` where an angle is out of range, or there are none.
-    """
-    if not len(points) or not len(wavelength_nm):
-        raise ArgumentError("a plan needs points and wavelengths")
-    listed: dict[tuple[float, ...], Point] = {}
-    for row, angles in enumerate(points):
-        if len(angles) != 4 or not all(math.isfinite(angle) for angle in angles):
-            raise ArgumentError(f"point {row}: four finite angles [deg] are needed, not {list(angles)}")
-        point = canonical(*map(float, angles))
-        if not 0.0 <= point.theta_i_deg <= 90.0:
-            raise ArgumentError(f"point {row}: theta_i = {angles[0]:g} deg is outside 0 to 90 deg")
-        listed.setdefault(_key(point), point)
-    return Plan(name, tuple(map(float, wavelength_nm)), tuple(listed.values()), len(points) - len(listed), name)
 
 
 def _key(point: Point) -> tuple[float, ...]:

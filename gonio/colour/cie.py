@@ -183,14 +183,14 @@ def lab(xyz: ArrayLike, illuminant: str = "D65") -> Floats:
     return np.asarray(f @ _MIX.T - (16.0, 0.0, 0.0))
 
 
-def lab_slope(xyz: ArrayLike, illuminant: str = "D65") -> Floats:
+def lab_slope(xyz: ArrayLike) -> Floats:
     """d(L*, a*, b*)/d(X, Y, Z) at XYZ, (..., 3) to (..., 3, 3): what carries a covariance from XYZ to L*a*b*.
 
-    Parameters and errors as `lab`.
+    For the illuminant D65. Errors as `lab`.
     """
-    ratio = _ratio(xyz, illuminant)
+    ratio = _ratio(xyz, "D65")
     slope = np.where(ratio > _EDGE**3, np.cbrt(np.maximum(ratio, _EDGE**3)) ** -2, _EDGE**-2) / 3.0
-    return np.asarray(_MIX * (slope / white(illuminant))[..., None, :])
+    return np.asarray(_MIX * (slope / white("D65"))[..., None, :])
 
 
 def _ratio(xyz: ArrayLike, illuminant: str) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.colour.cie import weights, white
-from gonio.colour.display import SRGB, Primaries
+from gonio.colour.display import SRGB
 from gonio.models import fresnel
 from gonio.models.parameters import indices_at
 from gonio.typing import ArrayLike, Floats
@@ -91,25 +91,21 @@ class ShiftError:
 def shift_error(
     wavelength_nm: ArrayLike,
     ior: Index,
-    illuminant: str = "D65",
     *,
     theta: ArrayLike | None = None,
-    primaries: Primaries = SRGB,
 ) -> ShiftError:
     """The error of the short procedure (`shifted_xyz`) against the full one (`reflected_xyz`).
 
     Parameters
     ----------
-    wavelength_nm, ior, illuminant
+    wavelength_nm, ior
         As `reflected_xyz`.
     theta
         The angles [rad] that are looked at; None: 0 to 90 degrees in steps of a quarter of a degree.
-    primaries
-        The screen whose linear RGB are compared.
     """
     angles = np.radians(np.arange(0.0, 90.1, 0.25)) if theta is None else np.asarray(theta, dtype=np.float64).ravel()
-    full = primaries.rgb(reflected_xyz(angles, wavelength_nm, ior, illuminant))
-    off = primaries.rgb(shifted_xyz(angles, wavelength_nm, ior, illuminant)) - full
+    full = SRGB.rgb(reflected_xyz(angles, wavelength_nm, ior))
+    off = SRGB.rgb(shifted_xyz(angles, wavelength_nm, ior)) - full
     worst = np.abs(off).max(axis=-1)
     at = int(np.argmax(worst))
     return ShiftError(float(worst[at]), float(angles[at]), float(np.sqrt(np.mean(off**2))))

@@ -365,29 +365,6 @@ class CookTorrance(Model):
         return float(self.hemispherical_directional(theta, wavelength_nm=wavelength_nm))
 
 
-def unblocked_fraction(horizon: ArrayLike) -> float:
-    """f, the share of the illuminating hemisphere that nothing nearby blocks, weighted with N.L.
-
-    f = (1/pi) integral of (N.L) over the unblocked directions = the mean over azimuth of cos^2 of the horizon's
-    elevation.
-
-    Parameters
-    ----------
-    horizon
-        Elevation of what blocks the view, above the plane of the surface [rad], in [0, pi/2], at azimuths equally
-        spaced over 2 pi.
-
-    Raises
-    ------
-    ArgumentError
-        There is no elevation, or one is NaN or out of range.
-    """
-    elevation = engine.real_array("horizon", horizon)
-    if elevation.size == 0 or not bool(np.all((elevation >= 0.0) & (elevation <= pi / 2))):
-        raise ArgumentError("horizon: needs elevations in [0, pi/2] rad")
-    return float(np.mean(np.cos(elevation) ** 2))
-
-
 def _checked_slopes(slopes: Any) -> tuple[tuple[float, float], ...]:
     if isinstance(slopes, (int, float)):
         slopes = ((slopes, 1.0),)

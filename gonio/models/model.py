@@ -358,7 +358,6 @@ class Model(ABC):
         wavelength_nm: ArrayLike = 550.0,
         spike: bool = True,
         tolerance: float = hemispherical.TOLERANCE,
-        out: Any = None,
     ) -> Any:
         """rho_dh, the share of light from one direction that is reflected: spike + integral of brdf cos(theta_r).
 
@@ -374,8 +373,6 @@ class Model(ABC):
             False leaves out the specular spike: what is left where a mirror ray is followed.
         tolerance
             Relative error of the integral: a coarser one takes less time.
-        out
-            Where the result goes, as in `brdf`.
 
         Returns
         -------
@@ -389,10 +386,12 @@ class Model(ABC):
         DataError
             The integral does not converge.
         """
-        value = hemispherical.reflectance(
-            self, theta_i, phi_i, wavelength_nm, viewer=False, spike=spike, tolerance=tolerance
+        return engine.delivered(
+            None,
+            hemispherical.reflectance(
+                self, theta_i, phi_i, wavelength_nm, viewer=False, spike=spike, tolerance=tolerance
+            ),
         )
-        return engine.delivered(out, value)
 
     def hemispherical_directional(
         self,

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 def render(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")],
     out: Annotated[Path, typer.Option(help="Folder of the picture.")],
-    tolerance: Annotated[
-        float | None, typer.Option(min=0.0, help="Relative standard error that every pixel is brought below.")
-    ] = None,
     exr: Annotated[bool, typer.Option("--exr", help="Write picture.exr too, a float channel a wavelength.")] = False,
     to: Annotated[str | None, typer.Option(help='Write the scene for another renderer instead: "mitsuba".')] = None,
 ) -> None:
@@ -28,7 +25,7 @@ def render(
     from gonio_scenes.render import render as rendered
     from gonio_scenes.scene import read, too_bright
 
-    described = read(scene, tolerance=tolerance)
+    described = read(scene)
     for told in dict.fromkeys(too_bright(described)):
         console.note(f"{told}: light in the picture is not conserved")
     if to is not None:

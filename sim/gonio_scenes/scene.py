@@ -183,8 +183,8 @@ def too_bright(scene: Scene) -> list[str]:
     return [one.too_bright for one in found if one.too_bright]
 
 
-def read(path: str | Path, *, tolerance: float | None = None) -> Scene:
-    """Read a scene file; `tolerance` takes the place of its own.
+def read(path: str | Path) -> Scene:
+    """Read a scene file.
 
     Raises
     ------
@@ -192,8 +192,7 @@ def read(path: str | Path, *, tolerance: float | None = None) -> Scene:
         The file, or one that it names, is missing or wrong; the message names file, key and remedy.
     """
     path = Path(path)
-    tables = load(SceneFile, path)
-    return build(tables if tolerance is None else tables.model_copy(update={"tolerance": tolerance}), path)
+    return build(load(SceneFile, path), path)
 
 
 def build(tables: SceneFile, source: Path) -> Scene:

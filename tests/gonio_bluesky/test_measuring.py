@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_bluesky import measurement, points_plan
+from gonio_bluesky import measurement
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.lab.acquisition.measure import RigChoice, carry_out
@@ -167,14 +167,6 @@ def test_what_is_wrong_is_said_before_anything_is_made(plan: Path, tmp_path: Pat
     ):
         pass
     assert [path.name for path in (tmp_path / "B").iterdir()] == ["notes.txt"]
-
-
-def test_points_without_a_plan_file(tmp_path: Path) -> None:
-    plan = points_plan("three", [550], [(20, 0, -30, 180), (20, 0, 30, 0), (20, 0, 40, 180)])
-    assert plan.repeated == 1, "-30 on the mirror side is 30 on the other"
-    with measurement(plan, rig=choice(), sample=SAMPLE, out=tmp_path / "B") as m:
-        engine()(list_scan([m.camera], *m.points()))
-    assert len(brdf.reduce(Run.open(tmp_path / "B"))) == 2
 
 
 @pytest.mark.slow

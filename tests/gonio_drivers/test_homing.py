@@ -190,6 +190,11 @@ def test_a_switch_is_found_from_its_side_and_a_mark_from_both(line: Line, how: s
         assert math.degrees(opened.read().light) == pytest.approx(angle(line), abs=TOLERANCE_DEG)
 
 
+def test_a_switch_that_opens_where_others_close_is_found_too(line: Line) -> None:
+    put_switch(line.servos[1], lambda deg: deg < 55.0)
+    assert abs(homed(rig(line, SWITCH | {"toward": 1, "closed_reads": 0})).off_deg) < 4.0  # as `spread_deg` there
+
+
 @pytest.mark.parametrize(
     ("homing", "said"),
     [

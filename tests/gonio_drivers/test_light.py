@@ -475,3 +475,17 @@ def test_a_lamp_is_called_as_it_says_or_by_its_dialect(identity: str, named: str
     lamp: Any = object.__new__(SerialLight)
     lamp.identity, lamp._dialect, lamp._light = identity, SimpleNamespace(name="scpi"), SimpleNamespace(port="COM3")
     assert str(lamp) == named
+
+
+@pytest.mark.parametrize(("answer", "locked"), [("IN", True), ("OUT", False)])
+def test_a_source_says_in_its_own_words_whether_it_is_in_lock(answer: str, locked: bool) -> None:
+    """`lock_good` and `lock_lost` of a dialect: both are replies that the line takes for whole."""
+    said: list[str] = []
+    lamp: Any = object.__new__(SerialLight)
+    lamp._channel, lamp._dialect = (
+        1,
+        dialect("scpi").model_copy(update={"lock": "LOCK?", "lock_good": "IN", "lock_lost": "OUT"}),
+    )
+    lamp._line = SimpleNamespace(ask=lambda query, expected: said.append(expected) or answer)
+    assert lamp.locked() is locked
+    assert re.fullmatch(said[0], answer)

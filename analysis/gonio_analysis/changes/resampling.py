@@ -89,11 +89,15 @@ class Carried:
         return self.error / np.maximum(np.abs(self.value), 1e-300)
 
 
-def common_wavelengths(a: Observations, b: Observations, within_nm: float = 0.5) -> list[tuple[float, float]]:
+SAME_WAVELENGTH_NM = 0.5
+"""What two wavelengths differ by, at most, that count as one."""
+
+
+def common_wavelengths(a: Observations, b: Observations) -> list[tuple[float, float]]:
     """Wavelengths [nm] of A with the nearest one of B, where they agree; (NaN, NaN) for two broad bands."""
     out, others = [], np.array(b.wavelengths)
     for wave in a.wavelengths:
-        known = others[np.isnan(others) if np.isnan(wave) else np.abs(others - wave) <= within_nm].tolist()
+        known = others[np.isnan(others) if np.isnan(wave) else np.abs(others - wave) <= SAME_WAVELENGTH_NM].tolist()
         if np.isnan(wave):
             out += [(wave, w) for w in known]
         elif known:

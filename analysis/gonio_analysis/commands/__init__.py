@@ -96,7 +96,6 @@ def fit(
     bound: BoundOption = None,
     prior: Prior = None,
     loss: Annotated[str, typer.Option(help="linear, or a robust one: soft_l1, huber, cauchy, arctan.")] = "linear",
-    searches: Annotated[int, typer.Option(help="Starts of a coarse grid to search from.")] = 4,
     intervals: Annotated[bool, typer.Option("--intervals", help="Profile-likelihood intervals (95 %).")] = False,
     slopes: Annotated[int, typer.Option(help="Slopes of Cook-Torrance's facets, 1 or 2.")] = 1,
     wavelength_nm: Wavelength = None,
@@ -142,7 +141,6 @@ def fit(
         metric=metric,
         u_rel=u_rel,
         energy=energy,
-        searches=searches,
         separate=separate,
     )
     wanted = implementations.Wanted(constants, u_ior, intervals, save, residual, as_json)

@@ -86,7 +86,7 @@ class FitRequest:
         check_metric(self.metric)
         check_u_rel(self.u_rel)
         if self.searches < 1:
-            raise ConfigError(f"--searches {self.searches}: at least one search is needed")
+            raise ConfigError(f"searches = {self.searches}: at least one search is needed")
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,8 @@ SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
 
 
 def heat_map(
-    ax: Any, theta_r: Floats, dphi: Floats, value: Floats, *, label: str, theta_i: float | None = None,
-    limits: tuple[float, float] | None = None,
-) -> list[Any]:  # fmt: skip
+    ax: Any, theta_r: Floats, dphi: Floats, value: Floats, *, label: str, theta_i: float | None = None
+) -> list[Any]:
     """Positive values over the hemisphere of the receiver, on a logarithmic colour scale if they span a decade.
 
     Parameters
@@ -49,13 +48,11 @@ def heat_map(
         Of the colour bar, with the unit.
     theta_i
         Marks the mirror direction with a cross, and the source with a circle.
-    limits
-        Of the colours; those of the values if none are given.
     """
     from matplotlib.colors import LogNorm, Normalize
 
     shown = value > 0
-    low, high = limits or (float(value[shown].min()), float(value[shown].max()))
+    low, high = float(value[shown].min()), float(value[shown].max())
     scale = LogNorm(low, high) if high > 10 * low else Normalize(low, high)
     artists = _disc(ax, theta_r[shown], dphi[shown], value[shown], SEQUENTIAL, scale)
     if theta_i is not None:

@@ -190,7 +190,6 @@ def angle_panel(
     y_label: str,
     *,
     logarithmic: bool = False,
-    x_label: str = "",
     retro_right: bool = False,
 ) -> Panel:
     """Curves over the signed angle, on a linear or a logarithmic axis."""
@@ -203,10 +202,10 @@ def angle_panel(
             in_plane.semilog(ax, lines, unit=y_label)
         else:
             in_plane.linear(ax, lines, y_label=y_label, retro_right=retro_right)
-        ax.set_xlabel(x_label or (MIRROR_TO_RETRO if retro_right else RETRO_TO_MIRROR))
+        ax.set_xlabel(MIRROR_TO_RETRO if retro_right else RETRO_TO_MIRROR)
         key.draw(figure)
 
-    axes = (f"{x_label or 'signed angle'} [deg]", y_label)
+    axes = ("signed angle [deg]", y_label)
     return Panel(name, caption, (WIDTH_IN, high), on, axes, line_rows(lines))
 
 

@@ -98,13 +98,11 @@ def light(
     minutes: Annotated[float, typer.Option(min=1, max=10_000, help="How long to watch the lamp.")] = 60.0,
     every: Annotated[float, typer.Option(min=0.1, help="Seconds from burst to burst of frames.")] = 15.0,
     series: Annotated[Path | None, typer.Option(help="An earlier series of the lamp.")] = None,
-    flats: Annotated[Path | None, typer.Option(help="Earlier flats of the white.")] = None,
     spectra: Annotated[Path | None, typer.Option(help="Spectra of bands: band, wavelength_nm, signal.")] = None,
     lines: Annotated[Path | None, typer.Option(help="Known lines: line_nm, read_nm.")] = None,
     lamp_polariser: Annotated[
         Path | None, typer.Option(help="A polariser turned in the beam: polariser_deg, signal.")
     ] = None,
-    camera_polariser: Annotated[Path | None, typer.Option(help="A polariser turned before the lens.")] = None,
     valid_days: Annotated[int | None, typer.Option(min=1, help="How long it is good.")] = None,
     wavelength: WavelengthOption = None,
     seed: Seed = 0,
@@ -117,7 +115,7 @@ def light(
     """
     from gonio.lab.commands import calibrate_light as work
 
-    earlier = work.Files(series, flats, spectra, lines, lamp_polariser, camera_polariser)
+    earlier = work.Files(series, spectra, lines, lamp_polariser)
     asked = work.Asked(only, minutes=minutes, every_s=every, wavelength_nm=wavelength, seed=seed, yes=yes)
     with lost.whole(out):
         work.calibrate(rig, out, earlier, asked, valid_days)

@@ -38,11 +38,9 @@ class Files:
     """Earlier data: where there are any, they alone are evaluated."""
 
     series: Path | None
-    flats: Path | None
     spectra: Path | None
     lines: Path | None
     lamp_polariser: Path | None
-    camera_polariser: Path | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +94,7 @@ def calibrate(rig: str, out: Path, earlier: Files, asked: Asked, valid_days: int
     opened.require_new(out)
     # what was measured before of the light is not to be taken out of what is measured now
     description, found = opened.choice_of(rig, without="light").description, _Found()
-    series, flats = earlier.series, earlier.flats
+    series, flats = earlier.series, None
     if not any(astuple(earlier)):
         series, flats = _take(rig, out, asked)
         if flats is not None:
@@ -107,7 +105,8 @@ def calibrate(rig: str, out: Path, earlier: Files, asked: Asked, valid_days: int
         _beam(flats, description, out, found)
     if earlier.spectra is not None or earlier.lines is not None:
         _bands(earlier.spectra, earlier.lines, description, found)
-    _polarisation(earlier, found)
+    if earlier.lamp_polariser is not None:
+        _polarisation(earlier.lamp_polariser, found)
     if not found.values:
         raise DataError(f"{out} is not written: nothing was found")
     known = found.uncertainty()
@@ -285,13 +284,11 @@ def _bands(spectra: Path | None, lines: Path | None, description: RigDescription
         }  # fmt: skip
 
 
-def _polarisation(earlier: Files, found: _Found) -> None:
-    for table, path in (("lamp", earlier.lamp_polariser), ("camera", earlier.camera_polariser)):
-        if path is not None:
-            of, where = polarised(path), f"{table}.polarisation"
-            values = {"degree": of.degree, "azimuth_deg": of.azimuth_deg}
-            found.add(where, values, [f"{where}.{name}" for name in values], of.covariance)
-            found.notes.append(f"the polarisation of the {table} is not corrected for: it is in the budget")
+def _polarisation(path: Path, found: _Found) -> None:
+    of, where = polarised(path), "lamp.polarisation"
+    values = {"degree": of.degree, "azimuth_deg": of.azimuth_deg}
+    found.add(where, values, [f"{where}.{name}" for name in values], of.covariance)
+    found.notes.append("the polarisation of the lamp is not corrected for: it is in the budget")
 
 
 def _picture(found: _Found, out: Path, what: str, draw: Callable[[], Figure]) -> None:

@@ -175,9 +175,6 @@ __all__ = ["app"]
 Axes = Annotated[list[str] | None, typer.Argument(metavar="[AXIS]...")]
 
 
-NEEDED = "ports", "servos", "lamp_on", "is_release", "wiggle", "count_of"
-
-
 # ---- the rig file ----
 
 
@@ -186,7 +183,6 @@ def new_rig(
     out: Annotated[Path, typer.Option(help="The rig file to write.")] = Path("my.toml"),
     port: Annotated[list[str] | None, typer.Option(help="Look at this port; by default at all there are.")] = None,
     answers: Annotated[Path | None, typer.Option(help="A TOML file with the answers: nobody is asked.")] = None,
-    driver: Annotated[str, typer.Option(help="The driver that the rig is for.")] = "lab",
 ) -> None:
     """Ask what a rig file needs, find ports, servos and lamp, and write the file, with a comment on each value."""
     from gonio import plugins
@@ -194,11 +190,7 @@ def new_rig(
     from gonio.lab.by_hand.new_rig import Answers, Person, make
 
     require_new(out)
-    plugin = plugins.load("gonio.rigs", driver)
-    if not all(hasattr(plugin, name) for name in NEEDED):
-        raise ConfigError(
-            f'the driver "{driver}" cannot look for devices: gonio rig show {driver} > {out}, and edit it'
-        )
+    plugin = plugins.load("gonio.rigs", "lab")
     person: Person | Answers = (
         Answers(answers, read_toml(answers)) if answers is not None else Person(_line, console.note)
     )

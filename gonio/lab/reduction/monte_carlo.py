@@ -390,13 +390,6 @@ class Drawn:
             low, high = (middle, high) if self.probability(middle) < probability else (low, middle)
         return high
 
-    def u_quantile(self, probability: float) -> float:
-        """Standard uncertainty of a quantile by too few draws."""
-        each = [
-            Drawn(*pair).quantile(probability) for pair in zip(self.first[:, None], self.rest[:, None], strict=True)
-        ]
-        return float(np.std(each, ddof=1)) / math.sqrt(len(each))
-
 
 def drawn(factors: Sequence[Factor], *, draws: int = 2**16, seed: int = 0) -> Drawn:
     """Draw a value that is a product of factors which have no input in common.

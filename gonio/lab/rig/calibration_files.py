@@ -130,9 +130,7 @@ def with_keys(description: RigDescription, values: TomlTable, source: str | Path
     return parse(RigDescription, laid_over(description.model_dump(mode="python"), values), source)
 
 
-def with_calibrations(
-    description: RigDescription, folder: str | Path, today: datetime.date | None = None, *, without: str = ""
-) -> RigDescription:
+def with_calibrations(description: RigDescription, folder: str | Path, *, without: str = "") -> RigDescription:
     """A rig with the values of its `calibration.files`, which lie in `folder` unless their paths are whole.
 
     A later file that changes a number takes with it what an earlier one knew of its uncertainty.
@@ -144,7 +142,7 @@ def with_calibrations(
         A file is missing or wrong; or it is out of date or of another rig, and `calibration.when_unfit` is "refuse".
     """
     use = description.calibration
-    today = today or datetime.date.today()
+    today = datetime.date.today()
     remarks, out = [], description
     known: list[Calibrated] = []
     as_filed = description.model_dump(mode="python", exclude_none=True)

@@ -88,6 +88,15 @@ def test_a_run_is_reduced_with_what_the_certificate_says_of_its_wavelength(tmp_p
     assert not (tmp_path / "other").exists()
 
 
+def test_a_rig_names_one_of_several_quantities(tmp_path: Path) -> None:
+    both = (NEW.format(value=value, unit="\\one", u=0.01) for value in (0.97, 0.91))
+    dcc(tmp_path, *zip(("Reflectance 8/d", "Reflectance 0/45"), both, strict=True))
+    named = 'certificate = "white.xml"\ncertificate_quantity = "0/45"'
+    assert find_rig(rig_file(tmp_path, named)).description.reference.albedo == 0.91
+    with pytest.raises(ConfigError, match="certificate_quantity"):
+        find_rig(rig_file(tmp_path, 'certificate = "white.xml"'))
+
+
 def test_the_kind_of_a_quantity_counts_as_its_name(tmp_path: Path) -> None:
     path = dcc(tmp_path, ("Messwert", NEW.format(value=0.97, unit="\\one", u=0.01)))
     path.write_text(path.read_text().replace('id="q0"', 'id="q0" refType="optics_diffuseReflectance"'))

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from gonio.errors import ArgumentError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, fresnel
 from gonio.models.blinn import DISTRIBUTIONS
-from gonio.models.cook_torrance import unblocked_fraction
 from gonio.models.plain import cook_torrance
 from gonio.models.plain.vectors import direction
 
@@ -228,12 +227,6 @@ def test_a_spike_is_known_by_the_method_that_a_model_brings() -> None:
     assert Sum((Mirror(), 0.5), (Lambert(), 0.5)).specular_reflectivity(0.3) == 0.25
 
 
-def test_unblocked_fraction() -> None:
-    assert unblocked_fraction([0.0]) == 1.0
-    # a straight wall of infinite height hides half of the hemisphere, also when weighted with N.L
-    assert unblocked_fraction(np.repeat([0.0, PI / 2], 180)) == pytest.approx(0.5, abs=1e-15)
-
-
 @pytest.mark.parametrize(
     ("preset", "expected"),
     [
@@ -268,7 +261,7 @@ def test_cook_torrance_ambient_light() -> None:
         return PI / 2 - theta > horizon(phi)
 
     phi = 2.0 * PI * np.arange(720) / 720
-    assert cook_torrance.f(unblocked) == pytest.approx(unblocked_fraction(horizon(phi)), abs=1e-3)
+    assert cook_torrance.f(unblocked) == pytest.approx(np.mean(np.cos(horizon(phi)) ** 2), abs=1e-3)
     model = CookTorrance(0.4, 0.6, 0.4, ior=1.5, diffuse_albedo=0.7)
     theta_r = 0.6
     plain = cook_torrance.R_a(
