@@ -31,7 +31,7 @@ test-all: .venv/.ready
 CONSTRAINTS = constraints-oldest.txt
 test-oldest:
 	$(PYTHON) -m venv --clear .venv-oldest
-	.venv-oldest/bin/python -m pip install --quiet --disable-pip-version-check $(addprefix -c ,$(CONSTRAINTS)) -e '.[hdf5,parquet]' pytest hypothesis jsonschema mpmath
+	.venv-oldest/bin/python -m pip install --quiet --disable-pip-version-check $(addprefix -c ,$(CONSTRAINTS)) -e '.[lab,workbooks,hdf5,parquet]' pytest hypothesis jsonschema mpmath
 	.venv-oldest/bin/gonio demo --quick --out .venv-oldest/demo
 	.venv-oldest/bin/python -m pytest -q tests/test_lower_bounds.py tests/gonio/test_config.py tests/gonio/test_measurement.py tests/gonio/formats tests/gonio_analysis/test_commands.py tests/gonio_scenes/test_render.py tests/gonio_drivers/test_bus.py tests/gonio_sim/test_rig.py
 

@@ -128,3 +128,18 @@ def os_error_as(error: type[GonioError], what: str) -> Iterator[None]:
         yield
     except OSError as refused:
         raise error(f"{what}: {refused.strerror or refused}") from None
+
+
+EXTRAS = {
+    **dict.fromkeys(("cv2", "rawpy", "serial", "dynamixel_sdk", "tomlkit"), "lab"),
+    **dict.fromkeys(("openpyxl", "xlrd"), "workbooks"),
+}
+"""Modules that no installation needs to have -> the extra of this package that brings them."""
+
+
+def missing_package(error: BaseException) -> str:
+    """What to install where a module of `EXTRAS` is not there, in words; "" of any other error."""
+    name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if name not in EXTRAS:
+        return ""
+    return f'this needs the package {name}, which is not installed: pip install "gonio[{EXTRAS[name]}]"'

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from gonio.errors import ConfigError, GonioError, did_you_mean
+from gonio.errors import ConfigError, GonioError, did_you_mean, missing_package
 
 Group = Literal[
     "gonio.rigs",
@@ -207,4 +207,4 @@ def imported(point: EntryPoint) -> Any:
     except SystemExit as end:
         raise Broken(f"its module ends the program on import (sys.exit({end.code!r}))") from end
     except BaseException as error:
-        raise Broken(" ".join(f"{type(error).__name__}: {error}".split())) from error
+        raise Broken(missing_package(error) or " ".join(f"{type(error).__name__}: {error}".split())) from error

@@ -79,10 +79,3 @@ def test_what_is_missing_is_said_in_one_line_that_names_the_package(table: Path,
     assert len(lines) == len(commands), done.stderr
     for line, room in zip(lines, ("gonio_watch", "gonio_scenes", "gonio_bluesky"), strict=True):
         assert line.endswith(f"comes with the package {room}, which is not installed here")
-
-
-@pytest.mark.slow
-def test_the_demonstration_needs_no_room(tmp_path: Path) -> None:
-    done = without(tuple(ROOMS), ("demo", "--quick", "--out", str(tmp_path / "demo")))
-    assert done.stdout.splitlines()[-1] == "exit 0", done.stderr
-    assert (tmp_path / "demo" / "run" / "report" / "index.html").is_file()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from gonio import platform
 from gonio.cli.signals import Ending, deafen
-from gonio.errors import ConfigError, DataError, GonioError, Incomplete
+from gonio.errors import ConfigError, DataError, GonioError, Incomplete, missing_package
 from gonio.shown import visible
 
 if TYPE_CHECKING:
@@ -103,6 +103,8 @@ def _explain(error: BaseException) -> tuple[str, int]:
     if _no_memory(error):
         why = f": {error}" if str(error) else ""
         return f"there is too little memory{why}; free some, or give it less data", 1
+    if missing_package(error):
+        return missing_package(error), 2
     if isinstance(error, RecursionError):
         return "an input file is nested too deeply (brackets in brackets)", 1
     if isinstance(error, OSError):
