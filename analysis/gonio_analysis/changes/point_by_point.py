@@ -133,6 +133,9 @@ class Change:
     missing: dict[str, int] = field(default_factory=dict)
     """Why values of A have no counterpart."""
     notes: Sequence[str] = ()
+    together: Floats | None = None
+    """Independent standard uncertainty of B - A as it counts in sums over neighbours [1/sr]: what is interpolated
+    between the same values goes together. None where `covariance` says it."""
 
     def __repr__(self) -> str:
         return f"<{self.b.title} against {self.a.title} in {len(self.at)} directions: {self._conclusion}>"
@@ -171,7 +174,7 @@ class Change:
         """Whether they differ by more than they state; None where neither side states an uncertainty."""
         if self.covariance is None:
             return None
-        return judge(self.value_a, self.value_b, self.covariance, self.zeros)
+        return judge(self.value_a, self.value_b, self.covariance, self.zeros, self.together)
 
     @cached_property
     def zeros(self) -> dict[str, Floats]:
@@ -413,7 +416,11 @@ def _measurements(sides: list[Side], say: Say) -> Change:
     if causes is not None:
         u_carried = carried.u
     values = {onto: (at.brdf, at.u), other: (carried.value, u_carried)}
-    return _change(a, b, at, onto, values, covariance, notes=notes, error=carried.error, missing=carried.missing)
+    found = _change(a, b, at, onto, values, covariance, notes=notes, error=carried.error, missing=carried.missing)
+    if covariance is None or not carried.interpolated:
+        return found
+    more = carried.together**2 - carried.random**2
+    return replace(found, together=np.sqrt(covariance.random**2 + more))
 
 
 def laid_on(a: Observations, b: Observations) -> tuple[Observations, list[str]]:

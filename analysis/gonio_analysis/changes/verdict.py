@@ -122,7 +122,11 @@ class Verdict:
 
 
 def judge(
-    value_a: Floats, value_b: Floats, covariance: Covariance, zeros: Mapping[str, Floats] | None = None
+    value_a: Floats,
+    value_b: Floats,
+    covariance: Covariance,
+    zeros: Mapping[str, Floats] | None = None,
+    together: Floats | None = None,
 ) -> Verdict:
     """Whether B - A is more than its covariance allows.
 
@@ -133,6 +137,9 @@ def judge(
         Of the difference.
     zeros
         What angles of B that read too large do to its values [1/(sr rad)], by the angle (of `ZEROS`).
+    together : (n,) array [1/sr]
+        In place of the covariance's `random` where factor and zeros are looked for: noise of neighbours that goes
+        together counts more in what all of them say than in each.
     """
     from scipy.special import chdtrc, ndtr
 
@@ -143,7 +150,8 @@ def judge(
     p = 2 * ndtr(-np.abs(z))
     p_largest = float(-np.expm1(n * np.log1p(-min(float(p.min()), 1 - 1e-16))))
     seen = {angle: column for angle, column in (zeros or {}).items() if n > 3 and column.any()}
-    factor, of_zeros, remains, alike = _effects(difference, middle, covariance, seen)
+    of_all = covariance if together is None else replace(covariance, random=together)
+    factor, of_zeros, remains, alike = _effects(difference, middle, of_all, seen)
     tests = 3 + len(of_zeros)
     p_value = float(chdtrc(n, total))
     by_effect = factor.found or any(zero.found for zero in of_zeros.values())

@@ -85,6 +85,26 @@ def test_a_lobe_between_its_values_is_known_as_well_as_they_are() -> None:
     assert np.median(found.relative_error) < 1e-3
 
 
+def test_noise_of_values_is_no_error_of_interpolation() -> None:
+    """Parabolas told 0.2 % of it from noise of 0.5 %: understated noise was hidden below that."""
+    views, flat = np.arange(-77.5, 78.0, 5.0), build("lambert", {"albedo": 0.5})
+    goal = observations(measure(flat, noise=5e-3, floor=1e-9, views=views, seed=1))
+    found = carry(goal, observations(measure(flat, noise=5e-3, floor=1e-9, seed=2)))
+    # half of the parabolas' part is left: 0.5 * 0.28 of the noise, and more beside the ends
+    assert np.median(found.relative_error) < 0.2 * 5e-3
+
+
+def test_neighbours_between_the_same_values_have_noise_together() -> None:
+    """Of their mean the noise is that of the values; sums of independent ones would have 0.8 of it."""
+    views, flat = np.arange(-77.5, 78.0, 5.0), build("lambert", {"albedo": 0.5})
+    goal = observations(measure(flat, incidences=(30.0,), noise=5e-3, floor=1e-9, views=views, seed=1))
+    known = observations(measure(flat, incidences=(30.0,), noise=5e-3, floor=1e-9, seed=2))
+    found, inner = carry(goal, known), slice(8, -8)
+    np.testing.assert_allclose(found.together[inner], 5e-3 * found.value[inner], rtol=0.02)  # noise of u itself: 0.5 %
+    # weights of a cubic halfway are 9/16 and -1/16: sqrt(2 (81 + 1)) / 16
+    np.testing.assert_allclose(found.random[inner], 0.8004 * found.together[inner], rtol=0.02)
+
+
 def _hemisphere(seed: int, wavelength_nm: float) -> pd.DataFrame:
     """Random receivers, the same for a seed, under one incidence."""
     rng = np.random.default_rng(seed)
