@@ -16,6 +16,8 @@ BAND, THIN = 0.14, 0.6
 """Opacity of a band, and width of the lines in its place."""
 CLEAR_PX = 3.0
 """Room around the words of axes: they are set a little larger where their minus signs are."""
+ASIDE_PT = 8.0
+"""Room at both sides of a legend."""
 LETTER_PT = (4.9, 7.8)
 """Width of a letter of a legend, at 7.5 pt: of most alphabets, and of those whose letters are square."""
 WIDE = 2.0
@@ -85,12 +87,12 @@ def ten_to(power: int) -> str:
 def columns(names: Sequence[str], inches: float, *, most: int = 6, handle_pt: float = 34.0) -> int:
     """Columns of a legend of these names that is no wider than a figure."""
     widest = max(map(_wide_pt, names), default=0.0) + handle_pt
-    return max(1, min(len(names), most, int((72.0 * inches - 8.0) / widest)))
+    return max(1, min(len(names), most, int((72.0 * inches - ASIDE_PT) / widest)))
 
 
-def short(name: str, inches: float, *, handle_pt: float = 34.0) -> str:
-    """A name of a legend with its middle left out where it is wider than there is room for it."""
-    while len(name) > 8 and _wide_pt(name) > 72.0 * inches - 8.0 - handle_pt:
+def short(name: str, inches: float, *, beside: int = 1, handle_pt: float = 34.0) -> str:
+    """A name of a legend of some columns, with its middle left out where it is wider than there is room for it."""
+    while len(name) > 8 and _wide_pt(name) > (72.0 * inches - ASIDE_PT) / beside - handle_pt:
         half = (len(name) - 2) // 2
         name = f"{name[:half]}…{name[-half:]}"
     return name

@@ -403,7 +403,7 @@ def key(figure: Any, curves: Sequence[Any], columns: int, kinds: Sequence[Any] =
     """A legend at the foot of a figure: its curves, and below them what kinds of lines they are."""
     for handles, beside in ((curves, columns), (kinds, len(kinds))):
         for one in handles:
-            one.set_label(style.short(one.get_label(), figure.get_figwidth() / beside))
+            one.set_label(style.short(one.get_label(), figure.get_figwidth(), beside=beside))
     look = {"fontsize": 7.5, "frameon": False, "columnspacing": 1.1, "borderpad": 0.1, "borderaxespad": 0.15}
     if kinds:
         figure.legend(handles=kinds, loc="lower center", ncol=len(kinds), handlelength=2.6, **look)

@@ -261,13 +261,15 @@
       this.point(null);
     }
 
-    label() {
-      if (this.norm === "none") return "BRDF [1/sr]";
+    /** What the values are, in one line, or in two where `room` [px] is short. */
+    label(room) {
+      if (this.norm === "none") return ["BRDF [1/sr]"];
       const curves = this.data.waves[this.wave].curves.filter((curve) => this.labels.has(curve.label));
       const without = curves.filter((curve) => curve.series.some((s) => this.series.has(s.name) && !s.by[this.norm]));
       const largest = this.norm === "mirror" && without.length;
-      const some = largest ? `; ${without.length} of ${curves.length} curves: / largest in-plane value` : "";
-      return `BRDF / ${NORMS.find(([key]) => key === this.norm)[1]}${some}`;
+      const words = [`BRDF / ${NORMS.find(([key]) => key === this.norm)[1]}`];
+      if (largest) words.push(`${without.length} of ${curves.length} curves: / largest in-plane value`);
+      return 6.5 * words.join("; ").length > room ? words : [words.join("; ")];
     }
 
     /** Lines, error bars and markers through `place`: (angle, value) -> [x, y], or null for what cannot be shown. */
@@ -308,8 +310,10 @@
       const cut = lines.filter((l) => l.points.some((p) => p.value > rim * 1.001)).slice(0, 6);
       const above = width < 640 ? 13 * cut.length : 0; // no room beside the half-disc: the notes stand above it
       const cy = R + 24 + above;
-      picture.setAttribute("viewBox", `0 0 ${width} ${height + above}`);
-      picture.setAttribute("height", height + above);
+      const words = this.label(width), below = width > 480 && words.length === 1 && 6.5 * words[0].length < 2 * R - 150 ? 31 : 46; // beside the words at both ends, or below
+      const tall = height + above + 14 * (words.length - 1);
+      picture.setAttribute("viewBox", `0 0 ${width} ${tall}`);
+      picture.setAttribute("height", tall);
       const xy = (angle, r) => [cx + r * Math.sin(angle * RAD), cy - r * Math.cos(angle * RAD)];
       const define = svg(svg(picture, "defs"), "clipPath", { id: clip });
       svg(define, "path", { d: `M${cx - R - 1} ${cy + 1}A${R + 1} ${R + 1} 0 0 1 ${cx + R + 1} ${cy + 1}Z` });
@@ -335,8 +339,7 @@
       for (const [anchor, x, text] of [["start", cx - R, "retro side"], ["end", cx + R, "mirror side"]]) {
         svg(picture, "text", { x, y: cy + 31, "text-anchor": anchor, fill: SOFT, "font-size": 11 }, text);
       }
-      const below = width > 480 && 6.5 * this.label().length < 2 * R - 150 ? 31 : 46; // beside the words at both ends, or below
-      svg(picture, "text", { x: cx, y: cy + below, "text-anchor": "middle", fill: INK, "font-size": 12 }, this.label());
+      words.forEach((some, k) => svg(picture, "text", { x: cx, y: cy + below + 14 * k, "text-anchor": "middle", fill: INK, "font-size": 12 }, some));
       const group = svg(picture, "g", { "clip-path": `url(#${clip})` });
       const whole = new Set();
       for (const line of lines) {
@@ -382,7 +385,7 @@
       }
       svg(picture, "path", { d: `M${left} ${top}V${bottom}H${right}`, fill: "none", stroke: INK });
       svg(picture, "text", { x: (left + right) / 2, y: bottom + 34, "text-anchor": "middle", fill: INK, "font-size": 12 }, `${this.data.moving}: retro side negative, mirror side positive`);
-      svg(picture, "text", { transform: `translate(12 ${(top + bottom) / 2}) rotate(-90)`, "text-anchor": "middle", fill: INK, "font-size": 12 }, this.label());
+      this.label(bottom - top).forEach((some, k) => svg(picture, "text", { transform: `translate(${11 + 12 * k} ${(top + bottom) / 2}) rotate(-90)`, "text-anchor": "middle", fill: INK, "font-size": 11 }, some));
       const group = svg(picture, "g", { "clip-path": `url(#${this.root.id}-clip)` });
       this.curves(group, lines, place);
       this.spots = this.spots.filter((s) => s.y <= bottom + 1 && s.y >= top - 1);

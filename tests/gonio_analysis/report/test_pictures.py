@@ -224,6 +224,13 @@ def test_curves_differ_without_their_colours(look: Callable[[int], object], coun
     assert len({look(k) for k in range(count)}) == count
 
 
+@pytest.mark.parametrize("inches", [2.0, 5.6, 7.0])
+@pytest.mark.parametrize("name", ["θi = 10°*", "matte plaster, dark (simulated)", "塗料のサンプル"])
+def test_names_that_stand_beside_each_other_are_whole(name: str, inches: float) -> None:
+    count = style.columns([name] * 6, inches)
+    assert count == 1 or style.short(name, inches, beside=count) == name
+
+
 def test_theory_and_measurement_of_a_curve_are_solid_and_dashed() -> None:
     theory, measured = in_plane.kinds("theory", "measured")
     assert (theory.is_dashed(), measured.is_dashed()) == (False, True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_analysis.report.drawing import rendered
+from gonio_analysis.report.drawing import Drawing, rendered
 from gonio_validation import papers
 from gonio_validation.papers import (
     blinn,
@@ -31,6 +31,7 @@ from matplotlib.figure import Figure
 
 from gonio.errors import ConfigError, Incomplete
 from gonio.models import Lambert
+from tests.pictures import faults
 
 OPEN = None
 """It hangs on a value that the paper does not state, so there is no verdict."""
@@ -409,3 +410,12 @@ def test_verdict_hangs_on_the_choice() -> None:
     assert agreed([True, True]) is True
     assert agreed([False]) is False
     assert agreed([True, False]) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIGURES)
+def test_words_of_a_figure_stand_clear_of_each_other(name: str) -> None:
+    page = papers.build(name)
+    drawn = [Drawing(f"{name}-{p.name}", p.name, "", p.caption, p.caption, p.inches, p.draw) for p in page.panels]
+    assert drawn
+    assert [fault for one in drawn for fault in faults(one)] == []
