@@ -1,6 +1,6 @@
 """Blind samples: does the analysis name the family of a sample that it knows nothing about, with honest intervals?
 
-    python tools/studies/blind_samples.py --seed 7 --count 20 --out DIR
+    python -m tools.studies.blind_samples --seed 7 --count 20 --out DIR
 
 Each sample is drawn at random (one of the six families or a sum of two, parameters over realistic ranges), measured on
 the simulated rig with all its errors, reduced, and given to `gonio_analysis.selection.choice` without a word about

@@ -1,6 +1,6 @@
 """How often `gonio compare A B --change` says "changed": where nothing changed, and where one thing did.
 
-    python tools/studies/change_power.py --pairs 200 --nulls 1000
+    python -m tools.studies.change_power --pairs 200 --nulls 1000
 
 Pairs of tables are drawn: a gloss lobe over a matte base, 3 incidences in the plane, steps of 5 degrees, noise 0.5 %,
 a reference of 0.3 %, zeros of both arms of 0.02 degrees. All is stated, and drawn anew for each table. B is measured in

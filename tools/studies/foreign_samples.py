@@ -1,6 +1,6 @@
 """Foreign samples: do stated uncertainties hold for samples that no model has, measured by four kinds of plan?
 
-    python tools/studies/foreign_samples.py --seed 7 --count 15
+    python -m tools.studies.foreign_samples --seed 7 --count 15
 
 Each sample is drawn at random from families that are fitted nowhere, and measured with noise of 0.1 to 1 % and a common
 scale of 0.2 %. The nearest of `MODELS` is asked for rho_dh at four incidences, and for values in directions that each

@@ -1,7 +1,7 @@
 """Photographs of spheres joined with in-plane sweeps: do the intervals of a fit cover the truth?
 
-    python tools/studies/photograph_campaign.py --seed 1 --count 40 --out DIR
-    python tools/studies/photograph_campaign.py --shape heightfield-facet --alone --seed 1 --count 20 --out DIR
+    python -m tools.studies.photograph_campaign --seed 1 --count 40 --out DIR
+    python -m tools.studies.photograph_campaign --shape heightfield-facet --alone --seed 1 --count 20 --out DIR
 
 Each case is drawn at random: a model (He-Torrance, Oren-Nayar, Cook-Torrance) and its parameters, a sphere, a camera
 and a light (directional, a point or a disc), how well their places and the absolute scale are known, and the errors
