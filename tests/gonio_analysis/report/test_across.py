@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.changes.point_by_point import of_table
+from gonio_analysis.report import across_plot
 from gonio_analysis.report.across import across
 from gonio_analysis.report.across_words import brighter, details, verdict
 
@@ -165,3 +166,15 @@ def test_lobes_are_compared_in_numbers() -> None:
 )  # fmt: skip
 def test_factors_in_words(factor: float, words: str) -> None:
     assert brighter(factor, "A") == words
+
+
+@pytest.mark.parametrize(("lower", "logarithmic"), [(1.0, False), (0.25, False), (0.1, True), (0.0, False)])
+def test_a_plot_in_which_a_sample_would_be_a_blot_is_semilog(lower: float, logarithmic: bool) -> None:
+    values = 0.2 + 0.1 * np.cos(np.linspace(-1.0, 1.0, 21))
+    assert across_plot._logarithmic([values, lower * values]) == logarithmic
+
+
+def test_a_plot_of_a_spike_is_semilog() -> None:
+    values = np.full(21, 0.2)
+    values[10] = 20.0
+    assert across_plot._logarithmic([values, values])

@@ -331,4 +331,9 @@ def test_it_fits_the_window_without_complaints(made: Made, tab: Tab) -> None:
         for opened in ("false", "true"):
             tab.run(f"document.querySelectorAll('details').forEach((fold) => {{ fold.open = {opened}; }})")
             assert tab.run("document.documentElement.scrollWidth") <= width, (width, opened)
+        told, listed = (
+            tab.run(f"[...new Set([...document.querySelectorAll('{which}')].map((x) => x.textContent.trim()))].sort()")
+            for which in (".term", ".terms dt")
+        )
+        assert listed == told  # what is explained at a touch stands at the end of the paper
     assert tab.complaints == []
