@@ -1,7 +1,8 @@
 """What mkdocs does beside its own work for the site (mkdocs.yml, docs/site.md).
 
-README.md becomes the first page, executed notebooks become pages, folders that the navigation names become lists of
-their pages, and every link of the finished site is followed. A warning here ends `mkdocs build --strict`.
+README.md becomes the first page, pages of studies and executed notebooks become pages, folders that the navigation
+names become lists of their pages, and every link of the finished site is followed. A warning here ends
+`mkdocs build --strict`.
 """
 
 import base64
@@ -24,6 +25,8 @@ ROOT = Path(__file__).resolve().parents[1]
 ENTRY_POINT = re.compile(r"(?m)^# (.+)$")
 RULES = '    options: {filters: ["!^_|^[a-z]|^[A-Z][a-z]"]}'
 """What pages of methods show of a module that they say no more about: its own words and its constants."""
+STUDIES = {"studies/index.md": "tools/studies/readme.md", "studies/findings.md": "tools/studies/findings.md"}
+"""Pages of the site that stand beside what they tell of."""
 
 
 # --- before: files that mkdocs does not have by itself ---------------------------------------------------------------
@@ -50,6 +53,8 @@ def on_files(files: Any, config: Any) -> Any:
     docs = Path(config.docs_dir)
     files.append(File.generated(config, "index.md", content=first_page((ROOT / "README.md").read_text("utf-8"))))
     files.append(File.generated(config, "decisions/index.md", content=listed(docs / "decisions")))
+    for page, source in STUDIES.items():
+        files.append(File.generated(config, page, content=study((ROOT / source).read_text("utf-8"))))
     for path in sorted((docs / "notebooks").glob("*.ipynb")):
         text, pictures = page_of(json.loads(path.read_text("utf-8")), path.stem)
         files.append(File.generated(config, f"notebooks/{path.stem}.md", content=text))
@@ -61,7 +66,19 @@ def on_files(files: Any, config: Any) -> Any:
 def first_page(readme: str) -> str:
     """README.md with its links as seen from docs/."""
     text = readme.replace("](docs/decisions)", "](decisions/index.md)")
-    return re.sub(r"\]\(docs/", "](", text)
+    return re.sub(r"\]\(docs/", "](", _with_studies(text, "tools/studies/", "studies/"))
+
+
+def study(text: str) -> str:
+    """A page of tools/studies with its links as seen from the folder studies of the site."""
+    return _with_studies(text.replace("](../../docs/", "](../"), "", "")
+
+
+def _with_studies(text: str, seen_from: str, to: str) -> str:
+    """Links to pages of tools/studies lead to where these stand in the site."""
+    for page, source in STUDIES.items():
+        text = text.replace(f"]({seen_from}{Path(source).name}", f"]({to}{Path(page).name}")
+    return text
 
 
 def listed(folder: Path) -> str:
@@ -80,6 +97,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri.startswith("reference/methods"):
         markdown = re.sub(r"(?m)^(::: \S+)$(?!\n    options)", rf"\1\n{RULES}", markdown)
     markdown = markdown.replace("](../README.md", "](index.md")
+    up = page.file.src_uri.count("/")
+    markdown = _with_studies(markdown, "../" * (up + 1) + "tools/studies/", "../" * up + "studies/")
     return re.sub(r"(\]\([\w/.-]*)\.ipynb\)", r"\1.md)", markdown)
 
 

@@ -1,6 +1,6 @@
 """What the camera sees: expected electrons a second of every pixel, through a reflectance model.
 
-For a pixel that looks at the spot x of the sample's plane (docs/pose_to_pixel.md),
+For a pixel that looks at the spot x of the sample's plane (docs/mechanics.md),
 
     rate = R pi V(pixel) cos(theta_i(x)) (d0 / d(x))^2 f(x)
 

@@ -1,4 +1,4 @@
-"""docs/wrong_models.md says what its commands print, where the measured files lie beside the project."""
+"""docs/misfit.md says what its commands print, where the measured files lie beside the project."""
 
 import re
 import shlex
@@ -18,7 +18,7 @@ FILES = {
 
 def quoted() -> dict[str, str]:
     """Commands of the page, and what it shows of their output."""
-    blocks = re.findall(r"(?m)(?:^    .*\n)+", (ROOT / "docs" / "wrong_models.md").read_text(encoding="utf-8"))
+    blocks = re.findall(r"(?m)(?:^    .*\n)+", (ROOT / "docs" / "misfit.md").read_text(encoding="utf-8"))
     return dict(zip((b.strip() for b in blocks[::2]), blocks[1::2], strict=True))
 
 

@@ -260,7 +260,7 @@ def test_while_the_contact_is_open_nothing_moves_and_no_lamp_lights_up(serve: Se
 def test_a_stop_in_mid_move_comes_at_once(serve: Serve) -> None:
     """From the contact to the dark lamp, and to arms at rest: each within 1 s, however busy this machine is.
 
-    docs/how_well.md has what it takes when it is less so.
+    tools/studies/findings.md has what it takes when it is less so.
     """
     twins = serve(described(contact=CONTACT))
     dark_s: list[float] = []

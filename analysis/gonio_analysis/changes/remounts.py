@@ -3,7 +3,7 @@
 Several tables of one sample, one a mount, are carried to common directions. Their relative deviations from the mean are
 regressed on 1 and on the slope of the mean with the receiver's angle. What is left counts as independent from direction
 to direction; `neighbours` says how far that is from true. The brightest directions alone are used (`SHARE`), as weak
-signals tell of the instrument's noise. docs/how_well.md has figures.
+signals tell of the instrument's noise. tools/studies/findings.md has figures.
 """
 
 import math

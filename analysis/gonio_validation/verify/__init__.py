@@ -1,4 +1,4 @@
-"""`gonio verify`: whether this installation computes what it should. docs/verification.md says what is checked.
+"""`gonio verify`: whether this installation computes what it should. docs/how_well.md says what is checked.
 
 The digits that results are held against were computed or published by others. Each part says what it found, and fails
 by itself: an error in one is that part's result, and the others are still looked at.

@@ -1,7 +1,7 @@
 """Choosing exposures: the brightest used pixel comes to a wanted fraction of full scale, and nothing used saturates.
 
 With `acquisition.u_rel_target` the noise model says which exposures, and how many frames, reach a wanted uncertainty
-(docs/exposure.md, "Planned brackets").
+(docs/acquisition.md, "Planned brackets").
 
 Every decision is a function of the frames of its own step and of one predicted level, so that a repeated step decides
 the same. The level is written as a fraction of full scale: 0 at the black level, 1 where the sensor saturates.

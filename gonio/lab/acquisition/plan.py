@@ -40,7 +40,7 @@ PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
 
 
 class Adaptive(Strict):
-    """What a plan asks for in place of points: a sampler names them as the run grows (docs/campaigns.md).
+    """What a plan asks for in place of points: a sampler names them as the run grows (docs/adaptive_sweeps.md).
 
     All keys but these two are the sampler's own, and checked by it.
     """

@@ -1,4 +1,4 @@
-"""Runs that grow: what a sampler is, and how a plan finds its own (docs/campaigns.md)."""
+"""Runs that grow: what a sampler is, and how a plan finds its own (docs/adaptive_sweeps.md)."""
 
 import math
 from collections.abc import Mapping, Sequence

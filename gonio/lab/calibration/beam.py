@@ -1,4 +1,4 @@
-"""Profile of the beam over the sample, from flats of a matt white at several angles (docs/calibrate_light.md).
+"""Profile of the beam over the sample, from flats of a matt white at several angles (docs/calibration.md).
 
 What the lens takes away stays with the pixel; the beam's profile stays with the sample, which the pixels see shorter
 the more obliquely the camera looks. So flats at several camera angles tell the two apart:

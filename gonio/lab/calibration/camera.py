@@ -1,4 +1,4 @@
-"""From frames of dark, white, trap and edge to the camera's keys of the rig file (docs/calibrate_camera.md)."""
+"""From frames of dark, white, trap and edge to the camera's keys of the rig file (docs/calibration.md)."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Warm-up, drift and noise of a lamp, from a series of frames of a white surface (docs/calibrate_light.md).
+"""Warm-up, drift and noise of a lamp, from a series of frames of a white surface (docs/calibration.md).
 
     level(t) = L (1 - a exp(-t/tau) + d t)        t since the lamp was lit [s]
 

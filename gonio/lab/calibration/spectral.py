@@ -1,8 +1,8 @@
 """Centres and widths of bands, from their measured spectra or from lines of known wavelength.
 
-Derived in docs/calibrate_light.md.
+Derived in docs/calibration.md.
 
-Degree and azimuth of polarisation, from a polariser that is turned (docs/calibrate_light.md).
+Degree and azimuth of polarisation, from a polariser that is turned (docs/calibration.md).
 """
 
 import math

@@ -1,7 +1,7 @@
 """Raw frames to BRDF with uncertainty: what `gonio reduce` does. The formulas are explained in docs/radiometry.md.
 
 Every pixel of the region of interest is freed of its own bias and dark charge, and divided by the geometry that it
-is known to see (docs/pose_to_pixel.md). The mean over the region is a rate in electrons
+is known to see (docs/mechanics.md). The mean over the region is a rate in electrons
 a second. Frames of one point are merged with the inverse of the variance that EMVA 1288 predicts for the *pooled*
 signal. A rate over the signal per unit BRDF, which visits to the white reference tell, is the BRDF.
 """

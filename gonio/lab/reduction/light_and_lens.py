@@ -1,6 +1,6 @@
 """What profile, polarisation and spectrum of the light add to the budget; nothing where the rig file has none of them.
 
-Derived in docs/calibrate_light.md. None of these effects is corrected here (the beam's profile is, in
+Derived in docs/calibration.md. None of these effects is corrected here (the beam's profile is, in
 `gonio.lab.rig.imaging`): each is a signed column, the change of the BRDF for one standard deviation of its cause.
 
 Also here is what a calibration leaves open of the camera's linearity and stray light, and what that does to values.

@@ -1,7 +1,7 @@
 """Frames of one step merged pixel by pixel: maximum likelihood for linear frames of known noise.
 
-The model, the choice of the weights, and what is left out without a bias, are explained in docs/exposure.md, "One rate
-of many frames".
+The model, the choice of the weights, and what is left out without a bias, are explained in docs/acquisition.md,
+"One rate of many frames".
 
 Also here are the frames of a point as one rate, with its variance.
 """

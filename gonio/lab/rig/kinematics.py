@@ -11,12 +11,12 @@ The inverse rests on one fact: both arms are perpendicular to y, so y = +-(L x V
 signs are the two branches: they mirror the arms, change the sign of the tilt and turn the sample by half a turn.
 
 That is the rig as it was meant. Where its description names errors of alignment, `ends` does the same
-with them, and the inverse starts from the closed form and goes on by Newton's method (docs/pose_to_pixel.md). A pose
+with them, and the inverse starts from the closed form and goes on by Newton's method (docs/mechanics.md). A pose
 is what encoders read, less their zeros; `true_pose` takes out what else is wrong with them.
 
 With errors of alignment it is also said where lamp and lens truly are, and which pose brings them where they should
 be. Its angles are true angles of the axes (`true_pose`). Rotations are right-handed, Rx, Ry and Rz about x, y
-and z of the lab (docs/pose_to_pixel.md).
+and z of the lab (docs/mechanics.md).
 """
 
 import math

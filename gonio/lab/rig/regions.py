@@ -4,7 +4,7 @@ Also here is whether the beam is larger ("over") or smaller ("under") than the r
 
 Overfilled: every pixel of the region is lit, and the irradiance there is known from the geometry of each.
 Underfilled: the whole spot lies inside the region, and what is known is the flux of the beam. The signals of all
-pixels are then summed over the area that each sees (docs/exposure.md, "The beam and the region").
+pixels are then summed over the area that each sees (docs/acquisition.md, "The beam and the region").
 """
 
 import math

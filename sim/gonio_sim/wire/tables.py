@@ -82,7 +82,7 @@ _FACTORY_BY_FAMILY = {  # by the beginnings of models' names, the longest last
     "xc430-w150": {"Moving Threshold": 20, "Position P Gain": 460},
     "xc430-w240": {"Position P Gain": 700},
 }  # fmt: skip
-_VELOCITY_LIMITS = {  # [0.229 rpm]; docs/how_well.md says which were read in the e-Manual
+_VELOCITY_LIMITS = {  # [0.229 rpm]; tests/gonio_sim/wire/readme.md says which were read in the e-Manual
     "xl330-m077": 1620, "xl330-m288": 445, "xc330-m181": 545, "xc330-m288": 350, "xc330-t181": 510, "xc330-t288": 320,
     "xl430-w250": 265, "xc430-w150": 460, "xc430-w240": 306, "xm430-w210": 330, "xm430-w350": 200,
     "xh430-w210": 210, "xh430-w350": 130, "xh430-v210": 230, "xh430-v350": 135, "xd430-t210": 210, "xd430-t350": 130,

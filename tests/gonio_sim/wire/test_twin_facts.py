@@ -1,4 +1,4 @@
-"""What the manual says of the servos, asked of the twin by the unmodified SDK; docs/how_well.md lists the facts."""
+"""What the manual says of the servos, asked of the twin by the unmodified SDK; readme.md here lists the facts."""
 
 import re
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from gonio_sim.wire import protocol2 as p2
 from tests.gonio_sim.wire.conftest import Build, ManualRig
 from tests.places import ROOT
 
-PAGE = ROOT / "docs/how_well.md"
+PAGE = ROOT / "tests/gonio_sim/wire/readme.md"
 
 Step = dict[str, int] | float | Callable[[ManualRig], object]
 """Items that are set, time that passes [s], or something that is done or asked."""
@@ -444,7 +444,7 @@ FACTS: dict[str, tuple[Any, ...]] = {
         *(0.2, reads(Moving_Threshold=10)) * 40, reads(Hardware_Error_Status=0x20, Torque_Enable=0),
     ),
 }  # fmt: skip
-"""Each by the name that its row has in docs/how_well.md."""
+"""Each by the name that its row has in readme.md."""
 
 
 @pytest.mark.parametrize("name", FACTS)

@@ -129,7 +129,7 @@ def _some_bodies(rng: np.random.Generator, far: Floats) -> tuple[list[dict[str, 
 
 
 def frames(rig: RigDescription, read: dict[str, Floats]) -> dict[str, tuple[Floats, Floats]]:
-    """Rotation and shift of all that is carried, at many poses: the axes as docs/pose_to_pixel.md has them."""
+    """Rotation and shift of all that is carried, at many poses: the axes as docs/mechanics.md has them."""
     arms, holder = rig.arms, rig.holder
     true = dict(read)
     for name, axis in (("light", arms.light), ("camera", arms.camera), ("azimuth", arms.azimuth)):
