@@ -263,3 +263,21 @@ def opened(twins: Twins) -> LabRig:
 def bench(twins: Twins, *only: Any) -> ManualRig:
     """The same for work by hand."""
     return ManualRig(opened(twins), "", only)
+
+
+@pytest.fixture
+def arms(line: Line) -> Iterator[Any]:
+    """`tests.gonio_drivers.servo_arms`, at the line."""
+    from gonio_drivers.arms import ServoArms
+
+    from tests.gonio_drivers.servo_arms import describe, servos
+
+    with ServoArms(describe(), servos(line.port)) as opened:
+        yield opened
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The twins answer a broadcast ping at once, where real ones take turns; and two line speeds are enough."""
+    monkeypatch.setattr("gonio_drivers.service.EVERYBODY_S", 0.3)
+    monkeypatch.setattr("gonio_drivers.dynamixel.BAUD_RATES", (57_600, 1_000_000))

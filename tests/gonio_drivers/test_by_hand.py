@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_drivers import dynamixel, service
 from gonio_drivers.arms import ServoArms
-from gonio_drivers.lab import LAB, LabRig
-from gonio_sim.wire.servo import Mechanics, Servo
+from gonio_drivers.lab import LabRig
+from gonio_sim.wire.servo import Mechanics
 from gonio_sim.wire.twins import Twins
 
 import gonio
@@ -23,7 +22,7 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.lab.by_hand import scan
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.by_hand.rig_file import write_values
-from gonio.lab.rig import FoundServo, Pose
+from gonio.lab.rig import Pose
 from tests.gonio_drivers.conftest import (
     COMMAND,
     LONGEST_S,
@@ -36,6 +35,7 @@ from tests.gonio_drivers.conftest import (
     small,
     written,
 )  # fmt: skip
+from tests.gonio_drivers.test_servo_settings import put
 
 pytestmark = pytest.mark.slow
 
@@ -366,160 +366,6 @@ def test_a_zero_of_the_holder_that_counts_as_known_now_is_told(twins: Twins, tmp
 
 
 # ---- servos ----
-
-
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The twins answer a broadcast ping at once, where real ones take turns; and two line speeds are enough."""
-    monkeypatch.setattr(service, "EVERYBODY_S", 0.3)
-    monkeypatch.setattr(dynamixel, "BAUD_RATES", (57_600, 1_000_000))
-
-
-def add(twins: Twins, identity: int, baud: int = 1_000_000) -> Servo:
-    servo = Servo(identity, twins.servos["light"]._clock, model="xm430-w350", baud=baud, position=1234.0)
-    twins.bus.servos.append(servo)
-    return servo
-
-
-def found(twins: Twins, identity: int, baud: int = 1_000_000) -> FoundServo:
-    return FoundServo(str(twins.description.devices["servos"]["port"]), baud, identity, "xm430-w350", 46)
-
-
-@pytest.mark.usefixtures("quick")
-def test_servos_are_found_at_every_speed_and_given_ids_and_speeds(twins: Twins, tmp_path: Path) -> None:
-    rig = written(twins, tmp_path)
-    new = add(twins, 1, baud=57_600)
-    listed = [line.split()[:2] for line in by_hand(rig, "ids").stdout.splitlines() if line[:1].isdigit()]
-    assert listed == [["1", "57600"], *([str(k), "1000000"] for k in range(1, 6))]
-    by_hand(rig, "ids", "--set-id", "1", "9", "--yes", code=3, says="more than one servo answers to id 1")
-    assert new.id == 1
-    assert LAB.assign(found(twins, 1, 57_600), identity=9, baud=1_000_000).id == 9
-    assert (new.id, new.baud, new.torque) == (9, 1_000_000, False)
-    by_hand(rig, "ids", "--set-id", "9", "10", code=2, says="no terminal to confirm")
-    assert new.id == 9
-
-
-def overheard(monkeypatch: pytest.MonkeyPatch, identity: int, times: int, lost: int = 0) -> list[int]:
-    """What is heard of a servo's answers comes so many times, after some that are lost; who was asked, in turn."""
-    plain, asked = dynamixel.Bus.overhear, list[int]()
-
-    def heard(bus: dynamixel.Bus, to: int, *said: Any, **how: Any) -> bytes:
-        asked.append(to)
-        answer = plain(bus, to, *said, **how)
-        return answer if to != identity else b"" if asked.count(to) <= lost else answer * times
-
-    monkeypatch.setattr(dynamixel.Bus, "overhear", heard)
-    return asked
-
-
-@pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("lost", [1, 2])
-def test_a_lost_answer_hides_no_servo_that_is_given_an_id(
-    twins: Twins, monkeypatch: pytest.MonkeyPatch, lost: int
-) -> None:
-    """Neither the one that is to get it, nor another that has it."""
-    overheard(monkeypatch, lost, times=1, lost=1)
-    if lost == 2:
-        with pytest.raises(DeviceError, match="id 2 is taken"):
-            LAB.assign(found(twins, 1), identity=2)
-        assert sorted(servo.id for servo in twins.servos.values()) == [1, 2, 3, 4, 5]
-    else:
-        assert LAB.assign(found(twins, 1), identity=9).id == 9
-
-
-@pytest.mark.usefixtures("quick")
-def test_two_servos_with_one_id_are_told_and_not_touched(twins: Twins, tmp_path: Path) -> None:
-    twin = add(twins, 2)
-    by_hand(
-        written(twins, tmp_path), "ids", "--set-id", "2", "9", "--yes",
-        code=3, prints="two servos with this id", says="more than one servo answers to id 2",
-    )  # fmt: skip
-    assert (twin.id, twins.servos["camera"].id) == (2, 2)
-
-
-@pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize(
-    ("times", "lost", "message"),
-    [
-        (2, 0, "two servos answer to this id"),
-        (2, 1, "two servos answer to this id"),
-        (0, 0, "nobody knows whether one servo has this id or two"),
-    ],
-)
-def test_a_servo_that_may_not_be_alone_is_not_moved(
-    twins: Twins, monkeypatch: pytest.MonkeyPatch, times: int, lost: int, message: str
-) -> None:
-    asked = overheard(monkeypatch, 1, times, lost)
-    with bench(twins, "arms") as held:
-        with pytest.raises(DeviceError, match=message):
-            held.move(light=math.radians(10))
-        held.move(camera=math.radians(10))
-        held.hold()
-    assert asked.count(1) > lost
-    assert not twins.servos["light"].torque
-    with pytest.raises(DeviceError, match=message):
-        opened(twins).__enter__()
-
-
-def test_a_servo_that_answers_and_cannot_be_used_is_not_called_mute(twins: Twins, tmp_path: Path) -> None:
-    twins.servos["tilt"].damage = 0x10
-    said = " ".join(by_hand(written(twins, tmp_path), "move", "tilt=10", code=3).stderr.split())
-    assert "no answer" not in said
-    assert re.search(r"tilt -?\d\.\d\d deg, torque off", said)
-
-
-def test_an_axis_that_was_not_named_and_lets_go_is_not_said_to_hold(twins: Twins) -> None:
-    with bench(twins, "arms") as held:
-        twins.servos["camera"].write(64, b"\0")
-        with pytest.raises(DeviceError, match=r"axis camera: .* let go of its torque"):
-            held.move(light=math.radians(10))
-    assert twins.servos["camera"].get("Torque Enable") == 0
-
-
-def put(twins: Twins, axis: str, **items: int) -> None:
-    """Settings of a servo, whose torque is off, as another program left them."""
-    for name, value in items.items():
-        item = twins.servos[axis].table.items[name.replace("_", " ")]
-        twins.servos[axis].write(item.address, (value % (1 << 8 * item.size)).to_bytes(item.size, "little"))
-
-
-@pytest.mark.parametrize(
-    ("items", "named", "known"),
-    [
-        ({"Homing_Offset": 300}, "Homing Offset = 300", True),
-        ({"Homing_Offset": -1000}, "Homing Offset = -1000", True),
-        ({"Homing_Offset": 2000}, "Homing Offset = 2000", True),  # beyond a quarter of a turn it counts as none
-        ({"Operating_Mode": 4, "Homing_Offset": 2000}, "Operating Mode = 4", True),
-        ({"Operating_Mode": 1}, "Operating Mode = 1", True),
-        ({"Drive_Mode": 1}, "Drive Mode = 1", False),
-        ({"Drive_Mode": 1, "Homing_Offset": 300}, "Homing Offset = 300", False),
-    ],
-)
-def test_settings_in_a_servo_that_falsify_its_angle_are_named_and_the_true_angle_is_told(
-    twins: Twins, tmp_path: Path, items: dict[str, int], named: str, known: bool
-) -> None:
-    rig, true = written(twins, tmp_path), angle(twins, "light")
-    put(twins, "light", **items)
-    said = read(rig)["devices"]["light"]
-    assert named in said["settings"]["value"]
-    assert ("angle" in said, "the angle is not known" in said["settings"]["value"]) == (known, not known)
-    by_hand(rig, "read", prints="BAD: settings")
-    servo = found(twins, 1, twins.servos["light"].baud)
-    if known:  # and so is a rig file that is made from where its axes stand now
-        assert said["angle"]["value"] == pytest.approx(true, abs=360 / 4096)  # the shaft stops somewhere in its count
-        assert LAB.count_of(servo) == pytest.approx((twins.servos["light"].travelled() + 0.5) % 4096, abs=1.0)
-    else:
-        with pytest.raises(DeviceError, match="reverse mode"):
-            LAB.count_of(servo)
-
-
-def test_the_angle_that_is_read_is_where_a_move_finds_the_axis(twins: Twins, tmp_path: Path) -> None:
-    rig = written(twins, tmp_path)
-    put(twins, "light", Homing_Offset=300)
-    said = read(rig)["devices"]["light"]["angle"]["value"]
-    with bench(twins, "arms") as held:  # opening resets it
-        assert math.degrees(held.arms.read().light) == pytest.approx(said, abs=360 / 4096)
-    assert "settings" not in read(rig)["devices"]["light"]
 
 
 def test_a_servo_at_another_line_speed_is_said_to_be_there(twins: Twins, tmp_path: Path) -> None:

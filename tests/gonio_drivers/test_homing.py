@@ -22,7 +22,7 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.lab.rig import Homed, Pose
 from gonio.lab.rig.description import ArmAxis, RigDescription
 from tests.gonio_drivers.conftest import BAUD, Line, by_hand
-from tests.gonio_drivers.test_arms import TOLERANCE_DEG, describe, servos
+from tests.gonio_drivers.servo_arms import TOLERANCE_DEG, describe, servos
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 
 SCALE = 4.0

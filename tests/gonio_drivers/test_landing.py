@@ -12,7 +12,7 @@ from gonio_sim.wire.servo import Mechanics, Servo
 
 from gonio.errors import DeviceError
 from tests.gonio_drivers.conftest import BAUD
-from tests.gonio_drivers.test_arms import COUNT_DEG, TOLERANCE_DEG, degrees, describe, pose, servos
+from tests.gonio_drivers.servo_arms import COUNT_DEG, TOLERANCE_DEG, degrees, describe, pose, servos
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 
 Bench = tuple[VirtualClock, ServoBus]

@@ -14,7 +14,7 @@ from gonio.errors import ConfigError, DeviceError
 from gonio.lab.rig import Pose
 from gonio.lab.rig.description import ArmAxis, Body, Geometry, Holder, RigDescription
 from tests.gonio_drivers.conftest import Line
-from tests.gonio_drivers.test_arms import TOLERANCE_DEG, degrees, describe, pose, servos
+from tests.gonio_drivers.servo_arms import TOLERANCE_DEG, degrees, describe, pose, servos
 
 COUNT_DEG = 360 / COUNTS
 FENCE = Body(name="fence", on="bench", centre_mm=(0, 0, 400), size_mm=(10, 300, 200))

@@ -42,9 +42,14 @@ def test_without_random_numbers_it_does_not_matter_how_many_rays_go_together(mon
     np.testing.assert_array_equal(parts.position, whole.position)
 
 
+@pytest.fixture(scope="module")
+def truth() -> rendering.Picture:
+    """Of a thousand rays a pixel."""
+    return rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99)
+
+
 @pytest.mark.slow
-def test_stated_errors_are_the_scatter_about_the_converged_picture() -> None:
-    truth = rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99)
+def test_stated_errors_are_the_scatter_about_the_converged_picture(truth: rendering.Picture) -> None:
     picture = rendered(camera=SMALL | {"samples": 64}, shape=TWO, light=[LAMP], seed=3)
     assert picture.error is not None
     known = picture.error > 1e-6 * truth.radiance.mean()
@@ -80,8 +85,7 @@ def test_a_camera_that_sees_nothing_is_refused() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("samples", [2, 3, 11, 13, 22])
-def test_any_number_of_rays_tells_its_error(samples: int) -> None:
-    truth = rendered(camera=SMALL | {"samples": 1024}, shape=TWO, light=[LAMP], seed=99)
+def test_any_number_of_rays_tells_its_error(truth: rendering.Picture, samples: int) -> None:
     pictures = [rendered(camera=SMALL | {"samples": samples}, shape=TWO, light=[LAMP], seed=k) for k in range(8)]
     assert {int(s) for picture in pictures for s in picture.samples.flat} == {samples}
     errors = np.stack([picture.error for picture in pictures if picture.error is not None])

@@ -102,7 +102,6 @@ def polished(x: Floats, y: Floats) -> dict[str, Floats]:
         ("brushed-plate", brushed_plate, deg(30, -33)),
         ("brushed-plate", brushed_plate, deg(60, -70, 10, 40)),
         ("rough-gradient", rough_gradient, deg(30, -33)),
-        ("rough-gradient", rough_gradient, deg(70, -75)),
         (POLISHED, polished, deg(30, -30)),
         (POLISHED, polished, deg(30, -38)),
         (WIDE, wide, deg(30, -45)),

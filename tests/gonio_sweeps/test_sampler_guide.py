@@ -20,7 +20,8 @@ from gonio.lab.acquisition.run import Run
 from gonio.lab.rig import Frame
 from gonio.lab.rig.description import RigDescription
 from gonio.samples.description import SampleDescription
-from tests.gonio.cli.test_cli import installed, process
+from tests.command_line import gonio
+from tests.gonio.cli.test_cli import installed
 from tests.gonio.numpy_rig import NumpyRig, Plugin, StopAfter, measured
 from tests.places import ROOT, fenced
 
@@ -103,12 +104,10 @@ def test_its_budget_and_its_keys_count(tmp_path: Path, here: str) -> None:
 
 
 def test_a_stranger_s_entry_points_are_found_by_the_commands(tmp_path: Path, here: str) -> None:
-    shown = process(tmp_path, "plan", "show", "plan.toml", "--rig", "sim", PYTHONPATH=here)
-    assert shown.returncode == 0, shown.stderr
+    shown = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "sim", expect=0)
     assert "halves gaps over which the BRDF changes by more than 1.5 times" in shown.stdout
     run = measure(tmp_path, "run")
-    done = process(tmp_path, "convert", "run", "frames.csv", "--to", "frames", PYTHONPATH=here)
-    assert done.returncode == 0, done.stderr
+    done = gonio(tmp_path, "convert", "run", "frames.csv", "--to", "frames", expect=0)
     assert re.search(r"frames\.csv: \d+ frames", done.stdout)
     with (tmp_path / "frames.csv").open() as table:
         rows = list(csv.DictReader(table))

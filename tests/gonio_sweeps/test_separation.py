@@ -52,9 +52,9 @@ MATT = 'name = "{name}"\nmodel = "oren-nayar"\n[parameters]\nalbedo = 0.5\nsigma
 RIG = replace(find_rig("sim"), description=SMALL)
 
 
-def matt(sigma_deg: float, albedo: float = 0.5) -> SampleDescription:
+def matt(sigma_deg: float) -> SampleDescription:
     return SampleDescription(
-        name=f"rough {sigma_deg:g}", model="oren-nayar", parameters={"albedo": albedo, "sigma_deg": sigma_deg}
+        name=f"rough {sigma_deg:g}", model="oren-nayar", parameters={"albedo": 0.5, "sigma_deg": sigma_deg}
     )
 
 
@@ -89,8 +89,8 @@ def test_what_is_gathered_is_the_chi_square_with_all_causes() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("a", "b"),
-    [(matt(20.0), matt(20.6)), (matt(20.0), matt(20.0, 0.51)), (metal(1.77), metal(1.79))],
-    ids=["roughness", "albedo", "correlation length"],
+    [(matt(20.0), matt(20.6)), (metal(1.77), metal(1.79))],
+    ids=["roughness", "correlation length"],
 )
 def test_the_expected_chi_square_is_that_of_runs(tmp_path: Path, a: SampleDescription, b: SampleDescription) -> None:
     """The mean over runs of what B's chi-square exceeds A's by; each run scatters by 2 sqrt(chi-square)."""
@@ -121,10 +121,9 @@ def chi_square(run: Run, sample: SampleDescription) -> float:
     ("truth", "named"),
     [
         (metal(1.77), ("he-torrance", "cook-torrance")),
-        (matt(20.0), ("a.toml", "b.toml")),
         (matt(26.0), ("a.toml", "b.toml")),
     ],
-    ids=["two models", "the smoother", "the rougher"],
+    ids=["two models", "two samples"],
 )
 def test_half_of_a_grid_s_time_decides(tmp_path: Path, truth: SampleDescription, named: tuple[str, str]) -> None:
     samples = {"a": MATT.format(name="rough 20", sigma=20.0), "b": MATT.format(name="rough 26", sigma=26.0)}

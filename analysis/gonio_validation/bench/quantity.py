@@ -168,7 +168,7 @@ class QuantitySummary:
         return [kind for kind in SETS if any(kind in w.errors for w in self.ways)]
 
 
-# --- the reference values of reference.json, written by tests/reference/bench_reference.py, and samples of them ---
+# --- the reference values of reference.json, written by tools/studies/bench_reference.py, and samples of them ---
 
 
 Vector = tuple[float, float, float]

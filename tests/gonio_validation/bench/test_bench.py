@@ -40,7 +40,7 @@ from typer.testing import CliRunner
 
 from gonio.errors import DataError
 from gonio.models import engine
-from tests.reference import bench_reference as made
+from tools.studies import bench_reference as made
 
 ONES = np.ones(4)
 

@@ -1,17 +1,17 @@
 """Write the reference values of `gonio bench models`: the papers' formulas in 60 digits, at stated inputs.
 
-    python -m tests.reference.bench_reference
+    python -m tools.studies.bench_reference
 
-Directions are taken as the exact values of their doubles, brought to unit length in 60 digits. Closed forms are those
-of tests/gonio/models/oracles.py; He-Torrance's series is summed term by term here, from its largest term to both
-sides, by logarithms. Oren-Nayar's exact integral is taken from tests/reference (quadruple-precision quadrature).
+Directions are taken as the exact values of their doubles, brought to unit length in 60 digits. Closed forms are the
+papers' as they stand; He-Torrance's series is summed term by term, from its largest term to both sides, by logarithms.
+Oren-Nayar's exact integral is taken from tests/reference (quadruple-precision quadrature).
 Nothing of the package's own arithmetic enters.
 """
 
 import itertools
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mpmath as mp
@@ -29,6 +29,71 @@ PHI_I = 0.3  # rad: no vector of the grid lies along an axis
 GRID = "theta_i 0 10 30 45 60 75 85, theta_r 0 20 45 60 80, dphi 0 60 120 180 degrees"
 
 Pair = tuple[list[float], list[float]]
+
+
+def attenuation(nl: Any, nv: Any, nh: Any, vh: Any) -> Any:
+    return min(mp.mpf(1), 2 * nh * nv / vh, 2 * nh * nl / vh)
+
+
+def cook_torrance(
+    theta_i: Any,
+    phi_i: Any,
+    theta_r: Any,
+    phi_r: Any,
+    slopes: Sequence[tuple[float, float]],
+    ior: complex,
+    distribution: str,
+) -> Any:
+    """R_s as printed: (F/pi) D G/((N.L)(N.V))."""
+    nl, nv, nh, vh = oracles.halfway(theta_i, phi_i, theta_r, phi_r)
+    alpha = mp.acos(min(nh, mp.mpf(1)))
+    d = mp.mpf(0)
+    for m, w in slopes:
+        m = mp.mpf(m)
+        if distribution == "beckmann":
+            d += w * mp.exp(-((mp.tan(alpha) / m) ** 2)) / (m**2 * mp.cos(alpha) ** 4)
+        else:
+            d += w * mp.exp(-((alpha / m) ** 2))
+    return oracles.fresnel(vh, ior) / mp.pi * d * attenuation(nl, nv, nh, vh) / (nl * nv)
+
+
+def blinn_1977(
+    theta_i: Any,
+    phi_i: Any,
+    theta_r: Any,
+    phi_r: Any,
+    c: float,
+    ior: complex,
+    distribution: str,
+    k_d: float = 0.0,
+    k_s: float = 1.0,
+) -> Any:
+    """The BRDF (k_d + k_s s/(N.L))/pi with s = D G F/(N.E)."""
+    nl, ne, nh, eh = oracles.halfway(theta_i, phi_i, theta_r, phi_r)
+    c = mp.mpf(c)
+    alpha = mp.acos(min(nh, mp.mpf(1)))
+    d = {
+        "phong": lambda: nh**c,
+        "gaussian": lambda: mp.exp(-((alpha * c) ** 2)),
+        "trowbridge-reitz": lambda: (c**2 / (nh**2 * (c**2 - 1) + 1)) ** 2,
+    }[distribution]()
+    s = d * attenuation(nl, ne, nh, eh) * oracles.fresnel(eh, ior) / ne
+    return (k_d + k_s * s / nl) / mp.pi
+
+
+def oren_nayar(theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any, albedo: float, sigma: Any) -> Any:
+    """Eqs. 14 to 16 over E0 cos(theta_i)."""
+    theta_i, theta_r, rho = mp.mpf(theta_i), mp.mpf(theta_r), mp.mpf(albedo)
+    s2 = mp.mpf(sigma) ** 2
+    alpha, beta = max(theta_i, theta_r), min(theta_i, theta_r)
+    cosine = mp.cos(mp.mpf(phi_r) - mp.mpf(phi_i))
+    c1 = 1 - s2 / (2 * (s2 + mp.mpf("0.33")))
+    c2 = mp.mpf("0.45") * s2 / (s2 + mp.mpf("0.09"))
+    c2 *= mp.sin(alpha) - (0 if cosine >= 0 else (2 * beta / mp.pi) ** 3)
+    c3 = mp.mpf("0.125") * s2 / (s2 + mp.mpf("0.09")) * (4 * alpha * beta / mp.pi**2) ** 2
+    one = c1 + cosine * c2 * mp.tan(beta) + (1 - abs(cosine)) * c3 * mp.tan((alpha + beta) / 2)
+    two = mp.mpf("0.17") * rho * s2 / (s2 + mp.mpf("0.13")) * (1 - cosine * (2 * beta / mp.pi) ** 2)
+    return rho / mp.pi * (one + two)
 
 
 def vector(theta: float, phi: float) -> list[float]:
@@ -225,13 +290,11 @@ def htsg() -> list[Any]:
 
 
 def cook(p: JsonObject) -> Any:
-    return lambda i, p_i, r, p_r: oracles.cook_torrance(
-        i, p_i, r, p_r, p["slopes"], complex(p["n"], p["k"]), "beckmann"
-    )
+    return lambda i, p_i, r, p_r: cook_torrance(i, p_i, r, p_r, p["slopes"], complex(p["n"], p["k"]), "beckmann")
 
 
 def blinn(p: JsonObject) -> Any:
-    return lambda i, p_i, r, p_r: oracles.blinn(
+    return lambda i, p_i, r, p_r: blinn_1977(
         i, p_i, r, p_r, p["c"], p["ior"], p["distribution"], mp.mpf(p["k_d"]), mp.mpf(p["k_s"])
     )
 
@@ -245,7 +308,7 @@ def phong(p: JsonObject) -> Any:
 
 
 def oren(p: JsonObject) -> Any:
-    return lambda i, p_i, r, p_r: oracles.oren_nayar(i, p_i, r, p_r, p["albedo"], mp.mpf(p["sigma_deg"]) * mp.pi / 180)
+    return lambda i, p_i, r, p_r: oren_nayar(i, p_i, r, p_r, p["albedo"], mp.mpf(p["sigma_deg"]) * mp.pi / 180)
 
 
 def closed() -> dict[str, list[Any]]:
@@ -359,7 +422,7 @@ def small() -> JsonObject:
 def main() -> None:
     mp.mp.dps = 60
     made = {
-        "made_by": "tests/reference/bench_reference.py",
+        "made_by": "tools/studies/bench_reference.py",
         "with": f"mpmath {mp.__version__}, {mp.mp.dps} digits; values rounded to doubles",
         "grid": GRID,
         "condition": "sum of |d ln f / d ln x| over the components of both vectors (He-Torrance: and σ0, τ)",
