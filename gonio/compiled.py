@@ -17,6 +17,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+import llvmlite.binding
 import numba
 import numba.core.options
 
@@ -24,6 +25,12 @@ try:
     from numba.core.caching import FunctionCache, IndexDataCacheFile
 except ImportError:  # numba's insides are its own: without these names its plain cache serves
     FunctionCache = IndexDataCacheFile = None
+
+if numba.config.CPU_FEATURES is None and numba.config.ENABLE_AVX:
+    # LLVM halves vectors of 512 bits on many processors, to spare mixed code a lower clock; loops over kernels are all
+    # vectors. NUMBA_CPU_FEATURES says otherwise where somebody sets it.
+    with contextlib.suppress(RuntimeError):  # a processor that LLVM cannot ask
+        numba.config.CPU_FEATURES = f"{llvmlite.binding.get_host_cpu_features().flatten()},-prefer-256-bit"
 
 DIGEST = hashlib.sha256
 SIZE = DIGEST().digest_size

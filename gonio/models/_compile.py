@@ -7,6 +7,7 @@ so that a loop over it vectorises.
 
 import functools
 import hashlib
+import math
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -21,6 +22,9 @@ Others = tuple[tuple[Callable[..., Any], Callable[..., Any]], ...]
 # Contraction, reciprocals and the sign of zero change no digit that matters. Reassociation would fold two-part
 # constants and compensated sums; "nnan" and "ninf" would break the limits at grazing.
 FASTMATH: Final = frozenset({"contract", "arcp", "nsz"})
+
+_BEYOND: Final = {1e-75: 1e-9}
+"""What stands in float32 for a bound whose products would leave its range."""
 
 _lock = threading.RLock()
 _ready: dict[tuple[Callable[..., Any], Callable[..., Any], int, bool], Any] = {}
@@ -86,8 +90,23 @@ def table(function: Callable[[], Any]) -> Any:
     return cached
 
 
-def _copy(function: FunctionType, names: Mapping[str, Any]) -> Any:
-    clone = FunctionType(function.__code__, {**function.__globals__, **names}, function.__name__, function.__defaults__)
+def in_float32(value: Any) -> Any:
+    """A constant in float32, so that float32 arguments stay what they are; what is no float as it is.
+
+    A bound far outside its range becomes 1e-18 or 1e18, whose squares are within it.
+    """
+    if type(value) is not float:
+        return value
+    size = abs(value)
+    size = _BEYOND.get(size, 1e-18 if 0.0 < size < 1e-37 else 1e18 if 1e37 < size < math.inf else size)
+    return np.float32(math.copysign(size, value))
+
+
+def _copy(function: FunctionType, names: Mapping[str, Any], in_single: bool = False) -> Any:
+    code = function.__code__
+    if in_single:
+        code = code.replace(co_consts=tuple(map(in_float32, code.co_consts)))
+    clone = FunctionType(code, {**function.__globals__, **names}, function.__name__, function.__defaults__)
     clone.__qualname__ = function.__qualname__
     clone.__module__ = function.__module__
     return clone
@@ -110,7 +129,9 @@ def _clone(
             called[name] = value()
         elif name in names:
             called[name] = value
-    return _copy(function, called)
+        elif in_single and type(value) is float:
+            called[name] = in_float32(value)
+    return _copy(function, called, in_single)
 
 
 def fingerprint(*parts: Any) -> str:
@@ -168,9 +189,7 @@ def fingerprint(*parts: Any) -> str:
 def _made_by() -> tuple[bytes, ...]:
     """What makes machine code of functions."""
     here = Path(__file__)
-    return tuple(
-        path.read_bytes() for path in (here, here.with_name("_vector_width.py"), here.parents[1] / "compiled.py")
-    )
+    return tuple(path.read_bytes() for path in (here, here.parents[1] / "compiled.py"))
 
 
 def _names(code: CodeType) -> list[str]:
@@ -185,34 +204,16 @@ def _of_numpy(part: Any) -> bool:
     return of.partition(".")[0] in ("builtins", "math", "numpy", "numba")
 
 
-@functools.cache
-def whole_vectors() -> bool:
-    """Whether this numba has the names that `_vector_width` rests on; with one line on stderr where it has not."""
-    try:
-        import gonio.models._vector_width  # noqa: F401
-    except (ImportError, AttributeError) as error:
-        from gonio.compiled import tell
-
-        tell(f"models are compiled as numba has it, and slower: this numba is not one they are made for ({error})")
-        return False
-    return True
-
-
-def options(side_by_side: int | None = None, in_single: bool = False) -> dict[str, object]:
-    """How numba compiles a function: our flags, and the pipeline of `_vector_width` where there is one."""
-    out: dict[str, object] = {"fastmath": set(FASTMATH), "error_model": "numpy"}
-    if whole_vectors():
-        from gonio.models._vector_width import SIDE_BY_SIDE, wide
-
-        out["pipeline_class"] = wide(side_by_side or SIDE_BY_SIDE, in_single)
-    return out
+def options() -> dict[str, object]:
+    """How numba compiles a function."""
+    return {"fastmath": set(FASTMATH), "error_model": "numpy"}
 
 
 @functools.cache
 def _jit(function: Callable[..., Any], others: Others = (), in_single: bool = False) -> Any:
     import numba
 
-    return numba.njit(forceinline=True, **options(in_single=in_single))(_clone(function, {}, others, in_single))
+    return numba.njit(forceinline=True, **options())(_clone(function, {}, others, in_single))
 
 
 def jit(function: Callable[..., Any]) -> Any:
@@ -221,18 +222,17 @@ def jit(function: Callable[..., Any]) -> Any:
         return _jit(function)
 
 
-def template(layout: str, *, side_by_side: int = 4, columns: bool = False) -> Callable[[F], F]:
+def template(layout: str, *, columns: bool = False) -> Callable[[F], F]:
     """Mark a loop over a kernel, with the kinds of its arguments in order.
 
     ``r1``, ``r2``: arrays of 1 or 2 axes that are read (they may be read-only); ``w1``, ``w2``: arrays that are
     written; ``i``: an integer; ``p``: the tuple of the kernel's constants. All arrays are contiguous, of float64
     or, in a loop compiled for it, float32.
-    `side_by_side` is how many vectors of pairs go through at a time; `columns`: whether the loop hands its kernel the
-    columns that it works on (see `of_columns`), and not directions.
+    `columns`: whether the loop hands its kernel the columns that it works on (see `of_columns`), and not directions.
     """
 
     def mark(function: F) -> F:
-        function.__dict__.update(__layout__=layout.split(), __side_by_side__=side_by_side, __columns__=columns)
+        function.__dict__.update(__layout__=layout.split(), __columns__=columns)
         return function
 
     return mark
@@ -255,15 +255,14 @@ def _loop(function: Callable[..., Any], kernel: Callable[..., Any], size: int, i
 
     function = kernel.__dict__.get(function.__name__, function)  # a kernel of several passes brings its own loops
     signature = tuple(kind(code) for code in function.__dict__["__layout__"])
-    chosen = options(function.__dict__["__side_by_side__"], in_single)
-    chosen |= counting(not function.__dict__["__columns__"])  # those make no arrays
+    chosen = options() | counting(not function.__dict__["__columns__"])  # those make no arrays
     names: dict[str, object] = {"kernel": kernel}
     if "columns" in kernel.__dict__ and not function.__dict__["__columns__"]:
         parts = {"shade": kernel, "take": kernel.__dict__["columns"]}
         whole = _clone(_of_directions, parts, kernel.__dict__.get("others", ()), in_single)
         names = {"kernel": numba.njit(forceinline=True, **chosen)(whole)}
     plain = _clone(function, names, function.__dict__.get("others", ()), in_single)
-    made_of = fingerprint(plain, function.__dict__["__side_by_side__"]) + ("" if whole_vectors() else "_stock")
+    made_of = fingerprint(plain)
     plain.__name__ = f"{function.__name__}_{real}_{kernel.__module__.rsplit('.', 1)[-1]}_{kernel.__name__}_{made_of}"
     plain.__qualname__ = plain.__name__
     return njit(*signature, nogil=True, **chosen)(plain)

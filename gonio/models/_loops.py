@@ -82,7 +82,7 @@ def vector_part(flat, first, count, step):  # type: ignore[no-untyped-def]
 # --- the loops ----------------------------------------------------------------------------------------------------
 
 
-@template("r1 i r1 i p w1 i i", side_by_side=2)
+@template("r1 i r1 i p w1 i i")
 def over_vectors(omega_i, step_i, omega_r, step_r, constants, out, start, stop):  # type: ignore[no-untyped-def]
     wrong = 0
     for first in range(start, stop, BLOCK):

@@ -20,7 +20,7 @@ import numpy as np
 from gonio import platform
 from gonio.errors import ArgumentError, refuse_masked
 from gonio.models import _loops
-from gonio.models._compile import loop, whole_vectors
+from gonio.models._compile import loop
 from gonio.models._loops import BLOCK, HALF_PI, NORM_TOLERANCE, PHI_LIMIT
 from gonio.typing import ArrayLike, Floats, NDArray
 
@@ -315,7 +315,7 @@ def all_single(*arguments: Any) -> bool:
 def _in_single(kernel: Kernel, constants: Constants) -> bool:
     """Whether a kernel has float32 arithmetic, and that holds all that it makes of these constants."""
     low, high = kernel.__dict__.get("single_range", (math.inf, 0.0))
-    return whole_vectors() and all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
+    return all(constant == 0.0 or low <= abs(constant) <= high for constant in constants)
 
 
 @dataclass(frozen=True)

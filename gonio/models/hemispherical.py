@@ -71,7 +71,7 @@ def reflectance(
 # --- over facets ----------------------------------------------------------------------------------------------------
 
 
-@template("r1 r1 r1 r1 r1 r1 r1 r1 r1 i p w1 i i", side_by_side=1, columns=True)
+@template("r1 r1 r1 r1 r1 r1 r1 r1 r1 i p w1 i i", columns=True)
 def _over_azimuths(fixed_x, fixed_z, sin_a, cos_a, own, low, high, node, weight, per_s2, constants, out, start, stop):  # type: ignore[no-untyped-def]
     """The integral over the azimuth beta of H, between two angles, of BRDF cos(moving) 4 (V.H), one a row.
 
@@ -95,7 +95,7 @@ def _over_azimuths(fixed_x, fixed_z, sin_a, cos_a, own, low, high, node, weight,
     return 0
 
 
-@template("r1 r1 r1 r1 r1 r1 r1 r1 r1 i p w1 i i", side_by_side=1, columns=True)
+@template("r1 r1 r1 r1 r1 r1 r1 r1 r1 i p w1 i i", columns=True)
 def _over_azimuths_by_light(  # type: ignore[no-untyped-def]
     fixed_x, fixed_z, sin_a, cos_a, own, low, high, node, weight, viewer, constants, out, start, stop
 ):

@@ -486,6 +486,11 @@ def test_a_source_says_in_its_own_words_whether_it_is_in_lock(answer: str, locke
         1,
         dialect("scpi").model_copy(update={"lock": "LOCK?", "lock_good": "IN", "lock_lost": "OUT"}),
     )
-    lamp._line = SimpleNamespace(ask=lambda query, expected: said.append(expected) or answer)
+
+    def ask(query: str, expected: str) -> str:
+        said.append(expected)
+        return answer
+
+    lamp._line = SimpleNamespace(ask=ask)
     assert lamp.locked() is locked
     assert re.fullmatch(said[0], answer)

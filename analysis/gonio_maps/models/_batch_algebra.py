@@ -19,7 +19,7 @@ viewing = numba.njit(**OPTIONS, **counting(False))
 summing = numba.njit(error_model="numpy", nogil=True, fastmath={*FASTMATH, "reassoc"})
 """Sums may be taken in any order, so that they vectorise."""
 inlined = numba.njit(inline="always", **OPTIONS)
-vectors = numba.njit(**options(2), nogil=True, **counting(False))
+vectors = numba.njit(**options(), nogil=True, **counting(False))
 """For a loop over values without sums, which takes whole vectors."""
 log, per_root = jit(_math.log), jit(_math.per_root)
 
