@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 
 def run(*words: str | Path, **settings: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([str(word) for word in words], capture_output=True, text=True, **settings)  # type: ignore[call-overload,no-any-return]
+    return subprocess.run([str(word) for word in words], capture_output=True, text=True, **settings)  # type: ignore[call-overload]
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_analysis.curves.in_plane import Line
-from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.plots import diagnostics, maps
 from matplotlib.figure import Figure
@@ -16,27 +16,31 @@ from tests.gonio_analysis.changes.test_point_by_point import hemisphere
 GLOSS = build("phong", {"k_d": 0.3, "k_s": 0.5, "exponent": 30})
 
 
-DATA = observations(hemisphere(GLOSS))
-THETA_R, PHI_R = DATA.directions.theta_r, DATA.directions.phi_r
+@pytest.fixture(scope="module")
+def data() -> Observations:
+    """Over the hemisphere; not on import, where each worker would compile the model."""
+    return observations(hemisphere(GLOSS))
 
 
 def axes(**how: Any) -> Any:
     return Figure().add_subplot(**how)
 
 
-def test_heat_map_shows_each_value_in_its_direction() -> None:
+def test_heat_map_shows_each_value_in_its_direction(data: Observations) -> None:
+    theta_r, phi_r = data.directions.theta_r, data.directions.phi_r
     ax = axes()
     # after the triangles
-    points = maps.heat_map(ax, THETA_R, PHI_R, DATA.brdf, label="BRDF [1/sr]", theta_i=np.radians(30.0))[1]
+    points = maps.heat_map(ax, theta_r, phi_r, data.brdf, label="BRDF [1/sr]", theta_i=np.radians(30.0))[1]
     xy, shown = np.asarray(points.get_offsets()), np.asarray(points.get_array())
     assert xy[np.argmax(shown)] == pytest.approx([30.0, 0.0], abs=1e-9)  # the mirror direction, on the right
-    assert np.hypot(*xy.T) == pytest.approx(np.degrees(THETA_R), rel=1e-14, abs=1e-14)  # sine and cosine, and back
+    assert np.hypot(*xy.T) == pytest.approx(np.degrees(theta_r), rel=1e-14, abs=1e-14)  # sine and cosine, and back
     assert ax.figure.axes[1].get_ylabel() == "BRDF [1/sr]"
 
 
-def test_heat_map_leaves_holes_empty() -> None:
-    kept = ~((np.radians(80.0) < PHI_R) & (np.radians(130.0) > PHI_R))
-    mesh = maps.heat_map(axes(), THETA_R[kept], PHI_R[kept], DATA.brdf[kept], label="")[0]
+def test_heat_map_leaves_holes_empty(data: Observations) -> None:
+    theta_r, phi_r = data.directions.theta_r, data.directions.phi_r
+    kept = ~((np.radians(80.0) < phi_r) & (np.radians(130.0) > phi_r))
+    mesh = maps.heat_map(axes(), theta_r[kept], phi_r[kept], data.brdf[kept], label="")[0]
     x, y = -30 * np.cos(np.radians(105.0)), -30 * np.sin(np.radians(105.0))
     assert not [p for p in mesh.get_paths() if p.contains_point((x, y))]
 
@@ -73,8 +77,8 @@ def test_changes_carry_error_bars_and_the_limit() -> None:
     assert ax.get_ylim()[1] > 3.5
 
 
-def test_slices_are_signed_half_planes() -> None:
-    lines = maps.slices(DATA, np.arange(len(DATA)))
+def test_slices_are_signed_half_planes(data: Observations) -> None:
+    lines = maps.slices(data, np.arange(len(data)))
     assert [line.label for line in lines][:2] == ["Δφ = 10°/190°", "Δφ = 20°/200°"]
     assert lines[0].angle.min() < 0 < lines[0].angle.max()
     made = float(GLOSS.brdf(np.radians(30.0), 0.0, np.radians(70.0), np.radians(190.0)))
@@ -138,9 +142,10 @@ def test_two_sides_are_both_whole_and_a_model_has_no_markers() -> None:
     assert not second.is_dashed()
 
 
-def test_angles_on_a_hemisphere_stand_on_a_patch_of_their_own() -> None:
+def test_angles_on_a_hemisphere_stand_on_a_patch_of_their_own(data: Observations) -> None:
+    theta_r, phi_r = data.directions.theta_r, data.directions.phi_r
     ax = axes()
-    maps.heat_map(ax, THETA_R, PHI_R, DATA.brdf, label="f")
+    maps.heat_map(ax, theta_r, phi_r, data.brdf, label="f")
     rings = [text for text in ax.texts if text.get_text() in ("30°", "60°", "90°")]
     assert len(rings) == 3
     assert all(text.get_bbox_patch() is not None and text.get_position()[1] < 0 for text in rings)
