@@ -313,9 +313,9 @@ class _Work(Generic[Out]):
 
 
 @contextmanager
-def processes(count: int, modules: Sequence[str] = ()) -> Iterator[Processes]:
-    """Some processes, which end with the block; `modules` is what they import while they wait."""
-    pool = Processes(modules)
+def processes(count: int) -> Iterator[Processes]:
+    """Some processes, which end with the block."""
+    pool = Processes()
     try:
         pool.grow(count)
         yield pool

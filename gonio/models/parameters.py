@@ -124,7 +124,7 @@ def _material_at(name: str, wavelength_nm: float) -> complex:
     return complex(_material(name)(wavelength_nm))
 
 
-def checked_index(ior: Any, name: str = "ior") -> Any:
+def checked_index(ior: Any) -> Any:
     """An `Index` argument in its stored form: a complex number, a material's name, or a function."""
     if isinstance(ior, str):
         _material(ior)
@@ -133,9 +133,9 @@ def checked_index(ior: Any, name: str = "ior") -> Any:
         return ior
     if isinstance(ior, (list, tuple)) or (isinstance(ior, np.ndarray) and ior.ndim > 0):
         if len(ior) != 2:
-            raise ArgumentError(f"{name} = {ior!r}: a list must be [n, k]")
-        return _valid_index(complex(number(f"{name}[0]", ior[0]), number(f"{name}[1]", ior[1])), name)
-    return _valid_index(ior, name)
+            raise ArgumentError(f"ior = {ior!r}: a list must be [n, k]")
+        return _valid_index(complex(number("ior[0]", ior[0]), number("ior[1]", ior[1])), "ior")
+    return _valid_index(ior, "ior")
 
 
 def _valid_index(ior: Any, name: str) -> complex:
@@ -152,12 +152,12 @@ def _valid_index(ior: Any, name: str) -> complex:
     return value
 
 
-def index_at(ior: Any, wavelength_nm: float, name: str = "ior") -> complex:
+def index_at(ior: Any, wavelength_nm: float) -> complex:
     """The complex index n + ik of a checked `Index` at a wavelength [nm]."""
     if isinstance(ior, complex):
         return ior
     value = _material_at(ior, wavelength_nm) if isinstance(ior, str) else ior(wavelength_nm)
-    return _valid_index(value, f"{name} at {wavelength_nm:g} nm")
+    return _valid_index(value, f"ior at {wavelength_nm:g} nm")
 
 
 def indices_at(ior: Any, wavelength_nm: Floats) -> NDArray[np.complex128]:

@@ -60,7 +60,7 @@ def dashes(k: int) -> Stroke:
     return STROKES[_turned(k, len(STROKES))]
 
 
-def handles(lines: Sequence[Line], names: Sequence[str] = ()) -> list[Any]:
+def handles(lines: Sequence[Line]) -> list[Any]:
     """What a legend says of curves: their colours, with markers where values were measured, or their dashes."""
     from matplotlib.lines import Line2D
 
@@ -68,8 +68,8 @@ def handles(lines: Sequence[Line], names: Sequence[str] = ()) -> list[Any]:
     if any(line.measured.size for line in lines):
         looks = [dict(style(k)) for k in range(len(lines))]
     return [
-        Line2D([], [], lw=1.5, ms=3.5, ls=stroke(k, lines), label=name, **look)
-        for k, (name, look) in enumerate(zip(names or [line.label for line in lines], looks, strict=True))
+        Line2D([], [], lw=1.5, ms=3.5, ls=stroke(k, lines), label=line.label, **look)
+        for k, (line, look) in enumerate(zip(lines, looks, strict=True))
     ]
 
 

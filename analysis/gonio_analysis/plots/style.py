@@ -153,7 +153,7 @@ def _meet(boxes: Sequence[Any]) -> bool:
     return any(one.overlaps(other) for one, other in pairwise(boxes))
 
 
-def beside_points(ax: Any, points: Sequence[tuple[float, float, str]], *, size: float = 7.5) -> list[Any]:
+def beside_points(ax: Any, points: Sequence[tuple[float, float, str]]) -> list[Any]:
     """Names beside points: as near as they stand clear of each other and of all points, else with a thin line there."""
     figure, taken = ax.figure, [one.get_window_extent().padded(CLEAR_PX) for one in _words_of(ax)]
     from matplotlib.text import Text
@@ -162,7 +162,7 @@ def beside_points(ax: Any, points: Sequence[tuple[float, float, str]], *, size: 
     artists = []
     for (x, y, name), (px, _) in zip(points, marks, strict=True):
         words = ax.annotate(
-            name, (x, y), (0, 0), textcoords="offset points", fontsize=size, va="center", zorder=6,
+            name, (x, y), (0, 0), textcoords="offset points", fontsize=7.5, va="center", zorder=6,
             arrowprops={"arrowstyle": "-", "lw": 0.4, "color": INK, "shrinkA": 0, "shrinkB": 2},
         )  # fmt: skip
         box = Text.get_window_extent(words)  # without the line

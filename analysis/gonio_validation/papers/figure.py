@@ -209,9 +209,7 @@ def angle_panel(
     return Panel(name, caption, (WIDTH_IN, high), on, axes, line_rows(lines))
 
 
-def trace_panel(
-    name: str, caption: str, traces: Sequence[Trace], x_label: str, y_label: str, *, bottom: float | None = 0.0
-) -> Panel:
+def trace_panel(name: str, caption: str, traces: Sequence[Trace], x_label: str, y_label: str) -> Panel:
     """Curves over anything."""
     lines = [theory(trace.label, trace.x, trace.y) for trace in traces]
     paired = any(trace.dashed for trace in traces)
@@ -226,8 +224,7 @@ def trace_panel(
         for k, (trace, ls) in enumerate(zip(traces, strokes, strict=True)):
             ax.plot(trace.x, trace.y, lw=1.4, zorder=3, color=in_plane.style(k)["color"], ls=ls)
         ax.margins(x=0.0)
-        if bottom is not None:
-            ax.set_ylim(bottom=bottom)
+        ax.set_ylim(bottom=0.0)
         plain_axes(ax, x_label, y_label)
         key.draw(figure)
 

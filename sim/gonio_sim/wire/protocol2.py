@@ -40,8 +40,9 @@ def _table() -> tuple[int, ...]:
 _CRC = _table()
 
 
-def crc16(data: bytes | bytearray, crc: int = 0) -> int:
-    """CRC-16 with the polynomial 0x8005 (CRC-16/UMTS), continued from `crc`."""
+def crc16(data: bytes | bytearray) -> int:
+    """CRC-16 with the polynomial 0x8005 (CRC-16/UMTS)."""
+    crc = 0
     for byte in data:
         crc = ((crc << 8) ^ _CRC[(crc >> 8) ^ byte]) & 0xFFFF
     return crc
