@@ -66,7 +66,7 @@ _EDGE = 1e-9
 
 
 @dataclass(frozen=True)
-class Curve:
+class DispersionCurve:
     """One quantity over wavelength [um]: a table, linear between its points, or a dispersion formula."""
 
     lower_um: float
@@ -82,8 +82,8 @@ class Material:
     source: str
     """Database page and reference."""
     wavelength_range_nm: tuple[float, float]
-    n: Curve
-    k: Curve | None
+    n: DispersionCurve
+    k: DispersionCurve | None
     """None where the source gives no absorption, which is then zero."""
 
     def __call__(self, wavelength_nm: ArrayLike) -> NDArray[np.complex128]:
@@ -196,23 +196,25 @@ def _others(name: str, wavelength_nm: float) -> str:
     return f"; there it has: {', '.join(covering[:6])}" if covering else ""
 
 
-def _read(path: Path) -> tuple[Curve, Curve | None, str]:
+def _read(path: Path) -> tuple[DispersionCurve, DispersionCurve | None, str]:
     """n, k where there is one, and the reference, of one YAML file of the database."""
     import yaml  # type: ignore[import-untyped]
 
     content = yaml.load(path.read_text(encoding="utf-8"), Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader))
-    n: Curve | None = None
-    k: Curve | None = None
+    n: DispersionCurve | None = None
+    k: DispersionCurve | None = None
     for block in content["DATA"]:
         kind, _, which = block["type"].partition(" ")
         if kind == "formula":
             lower, upper = map(float, (block.get("wavelength_range") or block["range"]).split())
-            n = Curve(lower, upper, partial(_dispersion, int(which), tuple(map(float, block["coefficients"].split()))))
+            n = DispersionCurve(
+                lower, upper, partial(_dispersion, int(which), tuple(map(float, block["coefficients"].split())))
+            )
         elif kind == "tabulated":
             rows = np.array([line.split() for line in block["data"].splitlines() if line.strip()], dtype=np.float64)
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
             ends, um = (float(rows[0, 0]), float(rows[-1, 0])), rows[:, 0]
-            curves = [Curve(*ends, partial(_linear, um, column)) for column in rows.T[1:]]
+            curves = [DispersionCurve(*ends, partial(_linear, um, column)) for column in rows.T[1:]]
             n = curves[0] if which in ("n", "nk") else n
             k = curves[-1] if which in ("k", "nk") else k
     if n is None:

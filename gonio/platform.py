@@ -407,7 +407,7 @@ def baud_of(terminal: int) -> int:
     return next((int(name[1:]) for name in known if getattr(termios, name) == speed), 0)
 
 
-class Holder(NamedTuple):
+class PortHolder(NamedTuple):
     """A process that has a file or a port open."""
 
     number: int
@@ -415,7 +415,7 @@ class Holder(NamedTuple):
     command: str
 
 
-def holders_of(port: str) -> list[Holder]:
+def holders_of(port: str) -> list[PortHolder]:
     """The other processes that have a port open, as far as they can be seen.
 
     A process that has the other end of a pseudo-terminal is the device, and no rival for it. Nor is a program that this
@@ -428,8 +428,8 @@ def holders_of(port: str) -> list[Holder]:
     return out
 
 
-def _holders_of(port: str) -> list[Holder]:
-    target, out = os.path.realpath(port), list[Holder]()
+def _holders_of(port: str) -> list[PortHolder]:
+    target, out = os.path.realpath(port), list[PortHolder]()
     if "://" in port:
         return out
     for process in Path("/proc").glob("[0-9]*"):
@@ -439,7 +439,7 @@ def _holders_of(port: str) -> list[Holder]:
             handles = {os.readlink(link) for link in (process / "fd").iterdir()}
             if target in handles and not handles & PSEUDO_TERMINALS:
                 name, command = (process / "comm").read_text().strip(), (process / "cmdline").read_bytes()
-                out.append(Holder(int(process.name), name, command.decode(errors="replace")))
+                out.append(PortHolder(int(process.name), name, command.decode(errors="replace")))
     return out
 
 

@@ -69,7 +69,7 @@ class Outcome(Generic[Out]):
         return self.value  # type: ignore[return-value]
 
 
-class Worker:
+class OtherProcess:
     """One of the other processes."""
 
     def __init__(self, modules: Sequence[str] = ()) -> None:
@@ -150,7 +150,7 @@ class Processes:
     """Some processes, which may be none, and what is shared out among them."""
 
     def __init__(self, modules: Sequence[str] = ()) -> None:
-        self._workers, self._modules = list[Worker](), modules
+        self._workers, self._modules = list[OtherProcess](), modules
 
     @property
     def _processes(self) -> list[subprocess.Popen[bytes]]:
@@ -160,7 +160,7 @@ class Processes:
         """Start processes until there are so many, or no more can be."""
         while len(self._workers) < count and sys.executable:
             try:
-                self._workers.append(Worker(self._modules))
+                self._workers.append(OtherProcess(self._modules))
             except OSError:  # no process or no memory for one: those that there are do the work
                 return
 
@@ -270,7 +270,7 @@ class Processes:
 class _Work(Generic[Out]):
     """Jobs that some processes are at, each through a thread that hands them over."""
 
-    def __init__(self, jobs: Sequence[Job[Out]], workers: Sequence[Worker], say: Say) -> None:
+    def __init__(self, jobs: Sequence[Job[Out]], workers: Sequence[OtherProcess], say: Say) -> None:
         self.waiting, self.found = queue.SimpleQueue[int](), queue.SimpleQueue[tuple[int, Outcome[Out]] | None]()
         for k in range(len(jobs)):
             self.waiting.put(k)
@@ -295,7 +295,7 @@ class _Work(Generic[Out]):
             self._busy -= 1
         return None
 
-    def _hand_over(self, worker: Worker) -> None:
+    def _hand_over(self, worker: OtherProcess) -> None:
         """Have a process do what is waiting, until there is nothing, or it has died, or a job has failed."""
         try:
             for k in _taken(self.waiting):

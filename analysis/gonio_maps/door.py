@@ -44,7 +44,7 @@ def fit(
     print(out)
 
 
-def _print_map(found: fits.Summary, title: str) -> None:
+def _print_map(found: fits.FitsSummary, title: str) -> None:
     rows = console.table("parameter", "median", "spread", "typical u", "", title=f"{title}: {found.pixels} pixels")
     for name, one in found.parameters.items():
         unit = "" if one.unit == "1" else f" {one.unit}"
@@ -61,7 +61,7 @@ def _print_map(found: fits.Summary, title: str) -> None:
     )
 
 
-def _print_materials(found: fits.Summary) -> None:
+def _print_materials(found: fits.FitsSummary) -> None:
     rows = console.table("material", "pixels", "chi-square", *found.parameters, title="materials")
     for k, one in enumerate(found.materials):
         values = [with_u(one[f"material_{name}"], one[f"u_material_{name}"]) for name in found.parameters]

@@ -229,7 +229,7 @@ OF_NOISE = 0.7
 
 
 @dataclass(frozen=True)
-class Curves:
+class CandidateCurves:
     """What was measured at candidates."""
 
     points: Sequence[Point]
@@ -243,7 +243,7 @@ class Curves:
     @classmethod
     def of(
         cls, points: Sequence[Point], at: Floats, among: Floats, brdf: Floats, u: Floats, expected: Floats
-    ) -> Curves:
+    ) -> CandidateCurves:
         """From values (m,) at places `among` (m, 3), candidates being at places `at` (n, 3).
 
         `u` [1/sr] is the noise of the values, `expected` the relative noise of a visit to each candidate (n,).
@@ -280,7 +280,9 @@ class Curves:
         return out
 
 
-def cover_evenly(known: Curves, open_to: Sequence[int], fits: Callable[[list[int]], bool]) -> tuple[list[int], bool]:
+def cover_evenly(
+    known: CandidateCurves, open_to: Sequence[int], fits: Callable[[list[int]], bool]
+) -> tuple[list[int], bool]:
     """The candidates of the smallest even step that fits, and whether a smaller step would take more of them."""
     some = [known.points[k] for k in open_to]
     seen = {n for n, k in enumerate(open_to) if known.visits[k]}
@@ -300,7 +302,7 @@ def cover_evenly(known: Curves, open_to: Sequence[int], fits: Callable[[list[int
 
 
 def cover_by_errors(
-    known: Curves, open_to: Sequence[int], cost: Floats, fits: Callable[[list[int]], bool]
+    known: CandidateCurves, open_to: Sequence[int], cost: Floats, fits: Callable[[list[int]], bool]
 ) -> list[int]:
     """Candidates, some of them more than once, that lower the mean square relative error of the curves most for their
     time; as many as fit.
@@ -353,7 +355,7 @@ class _Line:
     """Square of the relative error in the middle of the gap after each point, over the fourth power of the gap."""
 
     @classmethod
-    def of(cls, known: Curves, line: list[int], allowed: set[int]) -> _Line:
+    def of(cls, known: CandidateCurves, line: list[int], allowed: set[int]) -> _Line:
         x = np.array([signed_deg(known.points[k]) for k in line])
         there = [n for n, k in enumerate(line) if known.visits[k]]
         out = np.zeros(len(line))

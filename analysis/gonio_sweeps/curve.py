@@ -44,7 +44,7 @@ WORST = 400.0
 
 
 @dataclass(frozen=True)
-class Grid:
+class CurveGrid:
     """Directions that may be measured, and over which curves are judged."""
 
     directions: Directions
@@ -54,7 +54,7 @@ class Grid:
     """(n, 3): places whose distance tells how far a direction lies from measured ones [rad]."""
 
     @classmethod
-    def of(cls, d: Directions, weight: Floats) -> Grid:
+    def of(cls, d: Directions, weight: Floats) -> CurveGrid:
         """From directions."""
         return cls(d, weight / weight.sum(), positions(d))
 
@@ -75,7 +75,7 @@ def positions(d: Directions) -> Floats:
 def batch(
     known: Sequence[Posterior],
     noise: Sequence[Floats],
-    grid: Grid,
+    grid: CurveGrid,
     goal: float,
     cost: Floats,
     count: int,
@@ -139,7 +139,7 @@ class _State:
     goal: float
 
     @classmethod
-    def of(cls, p: Posterior, noise: Floats, grid: Grid, goal: float, floor: float) -> _State:
+    def of(cls, p: Posterior, noise: Floats, grid: CurveGrid, goal: float, floor: float) -> _State:
         f, covariance, variance = p.expected(grid.directions, noise)
         size = np.maximum(np.abs(f), floor * float(np.abs(p.brdf).max()))
         return cls(covariance, variance, 1.0 / (p.link.slope(f) * size), goal)
@@ -220,7 +220,7 @@ class Decided:
     met: bool = False
 
 
-class Curve(BudgetSampler[CurveSettings]):
+class CurveSampler(BudgetSampler[CurveSettings]):
     """Chooses points that tell the curves of a plan.
 
     Raises
@@ -241,7 +241,7 @@ class Curve(BudgetSampler[CurveSettings]):
             )
         self._online = [Online(band) for band in self._bands]
         self._directions = self.candidates.directions
-        self._grid = Grid.of(self._directions, _weights(self.candidates.points))
+        self._grid = CurveGrid.of(self._directions, _weights(self.candidates.points))
         self._errors = _angle_errors(description)
         self._cones = half_angles(description)
         self.first_rows = self._covering()
@@ -400,4 +400,4 @@ def _angle_errors(description: RigDescription) -> AngleErrors:
     return AngleErrors(math.radians(read), max(zero_uncertainties(description).values(), default=0.0))
 
 
-SAMPLER = Curve
+SAMPLER = CurveSampler

@@ -173,7 +173,7 @@ EXTREME = 2.6
 
 
 @dataclass(frozen=True)
-class Rows:
+class PredictedRows:
     """Values at some directions, as a model has them at one set of parameters."""
 
     brdf: Floats
@@ -225,12 +225,12 @@ class Sights:
         inside = Directions(np.minimum(theta_i, MOST), phi_i, np.minimum(theta_r, MOST), phi_r)
         return replace(self.at, directions=inside), np.cos(theta_i) / np.cos(self.at.directions.theta_i)
 
-    def rows(self, problem: Problem, vector: Floats) -> Rows:
+    def rows(self, problem: Problem, vector: Floats) -> PredictedRows:
         """What a model at a point of the search scale has there."""
         found = self.of_model(problem.model(vector))
         return replace(found, parameters=derivatives(problem, self.at, vector, quick=True))
 
-    def of_model(self, model: Any) -> Rows:
+    def of_model(self, model: Any) -> PredictedRows:
         """What a model has there, without parameters.
 
         A value stands for the angles that were read, cos(theta_i) of the truth over that of the reading
@@ -252,7 +252,7 @@ class Sights:
             straight = sum((odds[which] * factor for which, factor in slopes), here)
             most = np.maximum(most, np.abs(apparent(model, there, quick=True) * ratio - straight))
         none = np.zeros((len(self.at), 0))
-        return Rows(here, none, of_angles | {EVEN: even}, np.hypot(np.sqrt(landing), most))
+        return PredictedRows(here, none, of_angles | {EVEN: even}, np.hypot(np.sqrt(landing), most))
 
 
 def sights_ahead(description: RigDescription, poses: Sequence[Pose], wavelength_nm: float) -> Sights:
@@ -280,7 +280,7 @@ def observed(
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownTogether:
     """What is known of parameters and causes together."""
 
     information: Floats
@@ -289,11 +289,11 @@ class Known:
     """p"""
 
     @classmethod
-    def nothing(cls, ranges: Floats, causes: int) -> Known:
+    def nothing(cls, ranges: Floats, causes: int) -> KnownTogether:
         """Before the first value: of each parameter its range on the search scale is known."""
         return cls(np.diag(np.concatenate([1.0 / ranges**2, np.ones(causes)])), ranges.size)
 
-    def with_values(self, design: Floats, u: Floats, times: Floats | None = None) -> Known:
+    def with_values(self, design: Floats, u: Floats, times: Floats | None = None) -> KnownTogether:
         """After values with the rows (n, p + k) and the independent standard uncertainties (n,); each so many times."""
         weights = (1.0 if times is None else times) / u**2
         return replace(self, information=self.information + (design * weights[:, None]).T @ design)

@@ -174,7 +174,7 @@ class Known:
     result: FitResult
     data: Observations
     sights: expected.Sights
-    rows: expected.Rows
+    rows: expected.PredictedRows
     modes: list[tuple[Floats, float]]
     """Solutions that are not ruled out, as points of the search scale, with their weights; the best one first."""
     test: LackOfFit

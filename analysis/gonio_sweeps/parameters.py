@@ -22,7 +22,16 @@ from gonio.lab.reduction import brdf as reduction
 from gonio.lab.rig.description import RigDescription
 from gonio.typing import DataFrame, Floats, JsonObject
 from gonio_sweeps import expected
-from gonio_sweeps.candidates import EVENLY, Curves, candidates, cover_by_errors, cover_evenly, nearby, places, spread
+from gonio_sweeps.candidates import (
+    EVENLY,
+    CandidateCurves,
+    candidates,
+    cover_by_errors,
+    cover_evenly,
+    nearby,
+    places,
+    spread,
+)
 from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings
 from gonio_sweeps.online import GrowingValues, Online
 from gonio_sweeps.sampler import BudgetSampler, highest, short
@@ -212,7 +221,9 @@ class Parameters(BudgetSampler[ParameterSettings]):
         The first one is small: it is not known yet how dark the sample is where nothing was measured.
         """
         points, seen = self.candidates.points, self._seen(values, None)
-        known = Curves.of(points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel)
+        known = CandidateCurves.of(
+            points, self._places, places(values.directions), values.brdf, values.u_noise, seen.u_rel
+        )
         open_to = np.flatnonzero(seen.seconds < DEAREST * max(left_s, 0.0)).tolist()
 
         def fits(share: float, most: int = len(points)) -> Callable[[list[int]], bool]:
@@ -319,7 +330,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
             relative = {n: c / np.where(values.brdf == 0, 1.0, values.brdf) for n, c in values.common.items()}
             past = _design(measured, relative)
             lower, upper = self._fits.problem.bounds
-            before = expected.Known.nothing(upper - lower, past.shape[1] - free)
+            before = expected.KnownTogether.nothing(upper - lower, past.shape[1] - free)
             u = np.maximum(np.hypot(values.u_noise, measured.u_landing), 1e-12)
             u = np.hypot(u, known.tau * np.abs(measured.brdf))
             seen = self._expected.visits(ahead.brdf)
@@ -359,7 +370,7 @@ class Parameters(BudgetSampler[ParameterSettings]):
         return picked, total, enough
 
 
-def _design(rows: expected.Rows, relative: dict[str, Floats]) -> Floats:
+def _design(rows: expected.PredictedRows, relative: dict[str, Floats]) -> Floats:
     """d(value)/d(parameter) and the change by each common cause, (n, p + k)."""
     common = [rows.brdf * column for column in relative.values()]
     return np.concatenate([rows.parameters, np.stack([*common, *rows.of_angles.values()], axis=1)], axis=1)

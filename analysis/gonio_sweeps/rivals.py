@@ -95,7 +95,7 @@ class Stand:
     problem: Problem | None
     vector: Floats | None
 
-    def rows(self, sights: expected.Sights) -> expected.Rows:
+    def rows(self, sights: expected.Sights) -> expected.PredictedRows:
         """What it has at some poses."""
         if self.problem is None or self.vector is None:
             return sights.of_model(self.model)

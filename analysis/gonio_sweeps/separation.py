@@ -198,7 +198,7 @@ def _fitted(values: Observations, b: SampleDescription) -> float | None:
     return None if found is None else float(found)
 
 
-def independent(seen: expected.ExpectedVisits, rows: expected.Rows) -> Floats:
+def independent(seen: expected.ExpectedVisits, rows: expected.PredictedRows) -> Floats:
     """Independent standard uncertainties [1/sr] of visits: noise, and where the axes land."""
     noise = np.where(np.isfinite(seen.u_rel), seen.u_rel * np.abs(rows.brdf), NOTHING_SEEN)
     return np.maximum(np.hypot(noise, rows.u_landing), 1e-12)
@@ -266,7 +266,7 @@ def draw(s: Separation) -> Figure:
     return figure
 
 
-def rival_columns(description: RigDescription, rows: expected.Rows, ranges: Floats) -> Floats:
+def rival_columns(description: RigDescription, rows: expected.PredictedRows, ranges: Floats) -> Floats:
     """(n, q) changes of values [1/sr] by the reference and the zeros of the axes, and a rival's slopes.
 
     The slopes are multiplied by a large number, so that the rival's parameters are free.

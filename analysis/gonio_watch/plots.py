@@ -11,7 +11,7 @@ from gonio_analysis.curves.in_plane import MOST_CURVES, curves, labels, selectio
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.plots import thinning
-from gonio_analysis.report.viewer import MOST_LISTED, View, WaveView, entry, points
+from gonio_analysis.report.viewer import MOST_LISTED, ViewerData, WaveView, entry, points
 
 from gonio import geometry
 from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions, groups
@@ -43,10 +43,10 @@ class DrawnVisits(TypedDict):
     """Time [h], level over the first visit's, standard uncertainty of that."""
 
 
-class SoFar(TypedDict):
+class PlotsSoFar(TypedDict):
     """What the plots of the page show."""
 
-    view: View | None
+    view: ViewerData | None
     maps: list[Map]
     visits: list[DrawnVisits]
     says: str
@@ -54,7 +54,7 @@ class SoFar(TypedDict):
 
 def so_far(
     name: str, known: Sequence[ProvisionalValues], nominal_deg: Floats, visits_s: Mapping[int, float], behind: int
-) -> SoFar:
+) -> PlotsSoFar:
     """Curves, maps and visits of a run so far.
 
     Parameters
@@ -91,7 +91,7 @@ def so_far(
         waves.append({"nm": values.band.centre_nm, "curves": entries})
         if not maps:
             maps = _maps(data)
-    view: View = {
+    view: ViewerData = {
         "name": name, "moving": moving, "at": 0, "labels": list(dict.fromkeys(names)),
         "shown": list(dict.fromkeys(latest)), "points": [NAME], "models": [], "chosen": [NAME],
         "normalise": "mirror", "note": "", "waves": waves,
@@ -141,7 +141,7 @@ def _short(value: Floats | float) -> float:
     return float(f"{float(value):.5g}")
 
 
-def encoded(shown: SoFar) -> bytes:
+def encoded(shown: PlotsSoFar) -> bytes:
     """As the page reads it."""
     return json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
 

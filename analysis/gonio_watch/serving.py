@@ -24,7 +24,7 @@ COMMAND = (sys.executable, "-P", "-c", WORK)
 """Begins the process that works out values: what draws takes seconds to be imported, and nobody may look."""
 
 
-class Shown:
+class ServedRun:
     """A run that is followed, and the routes of its page."""
 
     def __init__(self, run: Path) -> None:
@@ -55,7 +55,7 @@ def watch(run: Path, host: str, port: int | None, text: bool) -> None:
     if begun(run):
         Run.open(run)  # what was changed after it was written is refused
     kept, token = shared.recall(run)
-    shown = Shown(run)
+    shown = ServedRun(run)
     try:
         server = Server(shown.routes, shown.watched.log, host, kept if port is None else port, token)
     except ConfigError:

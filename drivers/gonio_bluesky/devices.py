@@ -147,7 +147,7 @@ class Brake:
     Bluesky stops every axis that it has moved when a run ends, well or not, when it pauses and when it is suspended.
     """
 
-    def __init__(self, owner: Owner, rig: ManualRig, lamp: Lamp) -> None:
+    def __init__(self, owner: Owner, rig: ManualRig, lamp: BlueskyLamp) -> None:
         self._owner, self._rig, self._lamp = owner, rig, lamp
         self._moves: list[Status] = []
         self._stops = 0
@@ -203,7 +203,7 @@ class Brake:
             self._lamp.set(band).wait()
 
 
-class Axis(Plotted):
+class BlueskyAxis(Plotted):
     """One axis of a rig, in degrees: movable, readable, locatable, stoppable, pausable, checkable."""
 
     def __init__(self, owner: Owner, rig: ManualRig, brake: Brake, name: str) -> None:
@@ -268,7 +268,7 @@ class Axis(Plotted):
         return {name: number(f"arms.{self._axis}", "deg", limits=limits) for name in names}
 
 
-class Lamp(Named):
+class BlueskyLamp(Named):
     """The lamp: set to the name of a band, to a wavelength [nm], or to "dark"."""
 
     def __init__(self, owner: Owner, rig: ManualRig) -> None:
@@ -355,7 +355,7 @@ NUMBERS = {
 """What is read of a frame. The patch is what a measurement of the sample would use; NaN where it is out of sight."""
 
 
-class Camera(Plotted):
+class BlueskyCamera(Plotted):
     """The camera: a frame at a trigger, of which numbers are read. With a folder the frame itself is kept, as DNG."""
 
     def __init__(self, owner: Owner, rig: ManualRig, folder: Path | None) -> None:
@@ -403,11 +403,11 @@ class Devices:
 
     def __init__(self, rig: ManualRig, folder: Path | None) -> None:
         self._owner, self._rig = Owner(), rig
-        self.lamp = Lamp(self._owner, rig)
+        self.lamp = BlueskyLamp(self._owner, rig)
         brake = Brake(self._owner, rig, self.lamp)
-        self.axis = {name: Axis(self._owner, rig, brake, name) for name in rig.description.axes()}
+        self.axis = {name: BlueskyAxis(self._owner, rig, brake, name) for name in rig.description.axes()}
         """By their names in the rig file: light, camera, tilt, spin, azimuth."""
-        self.camera = Camera(self._owner, rig, folder)
+        self.camera = BlueskyCamera(self._owner, rig, folder)
 
     @property
     def all(self) -> list[Any]:

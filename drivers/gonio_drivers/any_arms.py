@@ -90,7 +90,7 @@ def axis_of(
 J = TypeVar("J", bound=AnyJoint)
 
 
-class Arms(ABC, Generic[J]):
+class AllAxes(ABC, Generic[J]):
     """All axes of a rig, as an `ArmsDevice`."""
 
     unparked = "not parked"

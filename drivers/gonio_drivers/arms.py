@@ -20,7 +20,7 @@ from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
 from gonio.lab.rig import Health, Pose, Reading, Target, clock
 from gonio.lab.rig.description import RigDescription
 from gonio_drivers import control_table, dynamixel, home_mark, joints, log, preparation, settings, signals, watchdog
-from gonio_drivers.any_arms import AXES, Arms, ArmsReading
+from gonio_drivers.any_arms import AXES, AllAxes, ArmsReading
 from gonio_drivers.motion import LARGEST_CORRECTION_DEG, STILL_COUNTS, Motion
 from gonio_drivers.sdk import Packets
 
@@ -36,7 +36,7 @@ LONGER = 4
 """How many times longer each ping is listened to than the one before: an answer may be late, or this computer busy."""
 
 
-class ServoArms(Arms[joints.Joint]):
+class ServoArms(AllAxes[joints.Joint]):
     """All axes of a rig, as an `ArmsDevice`.
 
     Parameters

@@ -62,18 +62,18 @@ def folder(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """RAW files from a watched folder."""
     from gonio_drivers.folder_camera import FolderCamera
 
-    return FolderCamera(description, parse(settings.FolderCamera, table, SOURCE))
+    return FolderCamera(description, parse(settings.FolderCameraSettings, table, SOURCE))
 
 
 def uvc(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """A USB video camera."""
     from gonio_drivers.uvc import UvcCamera
 
-    return UvcCamera(description, parse(settings.UvcCamera, table, SOURCE))
+    return UvcCamera(description, parse(settings.UvcCameraSettings, table, SOURCE))
 
 
 def sequence(description: RigDescription, table: TomlTable) -> OpenableCamera:
     """Images from a folder."""
     from gonio_drivers.folder_camera import SequenceCamera
 
-    return SequenceCamera(description, parse(settings.SequenceCamera, table, SOURCE))
+    return SequenceCamera(description, parse(settings.SequenceCameraSettings, table, SOURCE))

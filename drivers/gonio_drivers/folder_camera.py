@@ -61,7 +61,7 @@ class FolderCamera:
         Folder, trigger, tolerances.
     """
 
-    def __init__(self, description: RigDescription, camera: settings.FolderCamera) -> None:
+    def __init__(self, description: RigDescription, camera: settings.FolderCameraSettings) -> None:
         self._camera = camera
         self._folder = Path(camera.folder).expanduser()
         self._description = description.camera
@@ -319,7 +319,7 @@ class SequenceCamera:
     are taken for linear levels at the exposure that is asked for, with the levels of the rig file.
     """
 
-    def __init__(self, description: RigDescription, camera: settings.SequenceCamera) -> None:
+    def __init__(self, description: RigDescription, camera: settings.SequenceCameraSettings) -> None:
         self._folder = Path(camera.folder).expanduser()
         self._description = description.camera
         self._left: Iterator[Path] = iter(())

@@ -301,7 +301,7 @@ def _stopped(why: str) -> str:
     )
 
 
-def build(wanted: settings.Interlock, joints: Mapping[str, Joint], darken: Callable[[], None]) -> Interlock:
+def build(wanted: settings.InterlockSettings, joints: Mapping[str, Joint], darken: Callable[[], None]) -> Interlock:
     """The interlock of a rig file; nothing is opened yet."""
     if wanted.axis is None:
         contact: Contact = SerialLine(wanted.port, wanted.line)

@@ -46,7 +46,7 @@ class Report:
 
 
 @dataclass
-class Servo:
+class BusServo:
     """A servo on a bus, by the items of its control table."""
 
     bus: dynamixel.Bus
@@ -77,7 +77,7 @@ class Servo:
 
 
 @dataclass(kw_only=True)
-class Joint(Servo, AnyJoint):
+class Joint(BusServo, AnyJoint):
     """One axis and its servo."""
 
     servo: settings.ServoAxis

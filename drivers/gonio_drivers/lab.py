@@ -33,7 +33,7 @@ from gonio.samples.description import SampleDescription
 from gonio_drivers import cameras, interlock, log, service, signals, survey
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.light import LampReset, SerialLight
-from gonio_drivers.settings import Devices
+from gonio_drivers.settings import DeviceSettings
 from gonio_drivers.stages import StageArms
 
 RETAKES = 3
@@ -116,7 +116,9 @@ class LabRig:
 
     repeatable = False
 
-    def __init__(self, description: RigDescription, devices: Devices, *, confirm: bool, lenient: bool = False) -> None:
+    def __init__(
+        self, description: RigDescription, devices: DeviceSettings, *, confirm: bool, lenient: bool = False
+    ) -> None:
         self.description = description
         self.light = SerialLight(description, devices.light)
         self.arms = _arms(description, devices)
@@ -327,7 +329,7 @@ class LabRig:
             log.error("while leaving: %s", failure)
 
 
-def _arms(description: RigDescription, devices: Devices) -> ServoArms | StageArms:
+def _arms(description: RigDescription, devices: DeviceSettings) -> ServoArms | StageArms:
     if devices.stages is not None:
         return StageArms(description, devices.stages)
     assert devices.servos is not None  # as `Devices` has it
@@ -337,7 +339,7 @@ def _arms(description: RigDescription, devices: Devices) -> ServoArms | StageArm
 class _File(Strict):
     """The part of the rig file that is the drivers' own, so that messages name keys in full."""
 
-    devices: Devices
+    devices: DeviceSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,7 +388,7 @@ class LabPlugin(service.ServoService):
         return rig.interlock.acknowledge()
 
 
-def _devices(description: RigDescription) -> Devices:
+def _devices(description: RigDescription) -> DeviceSettings:
     return parse(_File, {"devices": description.devices}, f'rig "{description.name}"').devices
 
 

@@ -170,7 +170,7 @@ def _interlock(description: RigDescription, there: Mapping[str, joints.Joint]) -
     if table is None:
         yield lambda: None
         return
-    wanted = parse(settings.Interlock, table, f'rig "{description.name}": devices.interlock')
+    wanted = parse(settings.InterlockSettings, table, f'rig "{description.name}": devices.interlock')
     watched = interlock.build(wanted, there, lambda: None)
     if isinstance(watched.contact, interlock.ServoPort):
         watched.contact.make_input()
@@ -335,7 +335,7 @@ def count_of(servo: FoundServo) -> int:
         It counts the other way round: what it will read once it does not is not known.
     """
     with dynamixel.Bus(servo.port, servo.baud) as bus:
-        count = joints.Servo(bus, servo.id, control_table.of_model(servo.model)).undisplaced_count()
+        count = joints.BusServo(bus, servo.id, control_table.of_model(servo.model)).undisplaced_count()
     if count is None:
         raise DeviceError(
             f"servo id {servo.id} is in reverse mode (Drive Mode, bit 0), which no rig uses: reset it with the "
@@ -353,7 +353,7 @@ def wiggle(servo: FoundServo) -> None:
         It does not answer, or does not move; its torque is off then.
     """
     with dynamixel.Bus(servo.port, servo.baud) as bus:
-        wiggled = joints.Servo(bus, servo.id, control_table.of_model(servo.model))
+        wiggled = joints.BusServo(bus, servo.id, control_table.of_model(servo.model))
         get, put = wiggled.get, wiggled.write
         held = get("Torque Enable")
         if get("Operating Mode") != joints.POSITION_MODE:

@@ -15,7 +15,7 @@ from gonio.typing import TomlTable
 AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]
 
 
-class Line(Strict):
+class SerialInput(Strict):
     """An input of a serial adapter, with a switch between it and the adapter's own output."""
 
     port: str
@@ -36,7 +36,7 @@ class Homing(Strict):
     """Largest current at a stall, in the servo's own units: what it may push with."""
     external_port: Literal[1, 2, 3] | None = None
     """The servo's external port that the switch is wired to."""
-    line: Line | None = None
+    line: SerialInput | None = None
     """Instead of an external port: an input of a serial adapter."""
     closed_reads: Literal[0, 1] = 1
     """What the input reads where the switch is closed."""
@@ -169,7 +169,7 @@ class Trigger(Strict):
         return self
 
 
-class FolderCamera(Strict):
+class FolderCameraSettings(Strict):
     """RAW files that a tethering program puts into a folder."""
 
     folder: str
@@ -183,7 +183,7 @@ class FolderCamera(Strict):
     """Never delete the files that were used; without it they are deleted once the run has its copies."""
 
 
-class UvcCamera(Strict):
+class UvcCameraSettings(Strict):
     """A USB video camera."""
 
     device: str = "/dev/video0"
@@ -195,13 +195,13 @@ class UvcCamera(Strict):
     """Frames that are queued in the driver and thrown away before a frame is used."""
 
 
-class SequenceCamera(Strict):
+class SequenceCameraSettings(Strict):
     """Images from a folder, in order: replay without a camera."""
 
     folder: str
 
 
-class Interlock(Strict):
+class InterlockSettings(Strict):
     """A contact that has to be closed, or the lamp is dark and nothing moves."""
 
     port: str = ""
@@ -213,7 +213,7 @@ class Interlock(Strict):
     """Which external port of that servo."""
 
     @model_validator(mode="after")
-    def _one_place(self) -> Interlock:
+    def _one_place(self) -> InterlockSettings:
         if bool(self.port) == (self.axis is not None):
             raise ValueError("needs either port (a serial line) or axis (a servo's external port)")
         return self
@@ -226,7 +226,7 @@ class ServedHolder(Strict):
     """Takes a word for what has to lie there: "mirror", "empty" or "sample". `gonio rig align` then asks nobody."""
 
 
-class Devices(Strict):
+class DeviceSettings(Strict):
     """The whole table; what stands under `camera` is checked by the camera's driver."""
 
     servos: Servos | None = None
@@ -236,11 +236,11 @@ class Devices(Strict):
     light: Light
     camera: TomlTable
     """`driver` ("folder", "uvc", "sequence", or an entry point of the group `gonio.cameras`) and that driver's keys."""
-    interlock: Interlock | None = None
+    interlock: InterlockSettings | None = None
     holder: ServedHolder | None = None
 
     @model_validator(mode="after")
-    def _belong_together(self) -> Devices:
+    def _belong_together(self) -> DeviceSettings:
         if (self.servos is None) == (self.stages is None):
             raise ValueError("a rig needs arms: give one of the tables devices.servos and devices.stages")
         if self.interlock is not None and self.interlock.axis is not None and self.servos is None:

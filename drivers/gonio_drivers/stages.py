@@ -22,7 +22,7 @@ from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
 from gonio.lab.rig import Health, Pose, Reading, Target, clock
 from gonio.lab.rig.description import RigDescription
 from gonio_drivers import log, settings
-from gonio_drivers.any_arms import AnyJoint, Arms, ArmsReading, axis_of
+from gonio_drivers.any_arms import AllAxes, AnyJoint, ArmsReading, axis_of
 from gonio_drivers.patience import Patience
 
 STILL_DEG = 0.01
@@ -88,7 +88,7 @@ class Stage(contextlib.AbstractContextManager["Stage", None], Protocol):
 
 
 @dataclass(kw_only=True)
-class Joint(AnyJoint):
+class StageJoint(AnyJoint):
     """An axis of the rig and its stage: angles, and what the stage's readout is there."""
 
     stage: Stage
@@ -168,7 +168,7 @@ class Joint(AnyJoint):
 
 
 @dataclass(slots=True)
-class Way:
+class Travel:
     """How far an axis has come on its way."""
 
     goal_deg: float
@@ -182,7 +182,7 @@ class Way:
     tries: int = 1
 
 
-class StageArms(Arms[Joint]):
+class StageArms(AllAxes[StageJoint]):
     """All axes of a rig, as an `ArmsDevice`: a stage holds by its gear and motor, whether its port is open or not.
 
     Parameters
@@ -203,11 +203,11 @@ class StageArms(Arms[Joint]):
     def __init__(self, description: RigDescription, table: settings.Stages) -> None:
         settings.check_axes(table, description)
         self._settings = table
-        every: dict[str, Joint] = {}
+        every: dict[str, StageJoint] = {}
         for name in description.axes():
             key = f"devices.stages.axes.{name}"
             stage: Stage = plugins.load("gonio.stages", table.driver)(table.axes[name], key)  # type: ignore[index]
-            every[name] = Joint(*axis_of(description, name), stage=stage)
+            every[name] = StageJoint(*axis_of(description, name), stage=stage)
         super().__init__(description, every, "devices.stages")
         self._stack = contextlib.ExitStack()
 
@@ -238,7 +238,7 @@ class StageArms(Arms[Joint]):
         self._stack.__exit__(*how)
         self.joints = {}
 
-    def _prepare(self, joint: Joint) -> None:
+    def _prepare(self, joint: StageJoint) -> None:
         """See that a stage is well and stands still, give it its speed, and let it find its home where it may."""
         joint.stood_at = None
         said = joint.state()
@@ -249,7 +249,7 @@ class StageArms(Arms[Joint]):
         joint.require_between_stops(joint.angle_deg(), "zero_deg or direction")
         joint.stage.prepare(joint.axis.speed_deg_per_s, self._settings.acceleration_deg_per_s2)
 
-    def _home(self, joint: Joint) -> None:
+    def _home(self, joint: StageJoint) -> None:
         log.warning("axis %s looks for its home", joint.name)
         looked, idle = Patience(), 0.0
         try:
@@ -350,7 +350,7 @@ class StageArms(Arms[Joint]):
     def _arrive(self, goals: Mapping[str, float], within_deg: Mapping[str, float]) -> None:
         """Drive axes to goals [deg], all at once; return when each stands still within its distance of its goal."""
         looked = Patience()
-        ways = {name: Way(goal) for name, goal in goals.items()}
+        ways = {name: Travel(goal) for name, goal in goals.items()}
         longest = 0.0
         for name, goal in goals.items():
             joint = self.joints[name]
@@ -367,7 +367,7 @@ class StageArms(Arms[Joint]):
             if ways:
                 clock.sleep(POLL_S)
 
-    def _landed(self, joint: Joint, way: Way, within_deg: float, now: float) -> bool:
+    def _landed(self, joint: StageJoint, way: Travel, within_deg: float, now: float) -> bool:
         said = joint.homed_state()
         here = joint.to_deg(said.position_deg)
         way.looks += 1
@@ -401,7 +401,7 @@ class StageArms(Arms[Joint]):
         return self.last
 
     @staticmethod
-    def _halt(joint: Joint) -> None:
+    def _halt(joint: StageJoint) -> None:
         try:
             joint.stage.stop()
         except GonioError as failure:

@@ -82,7 +82,7 @@ class UvcCamera:
     """
 
     def __init__(
-        self, description: RigDescription, camera: settings.UvcCamera, capture: Callable[..., Any] | None = None
+        self, description: RigDescription, camera: settings.UvcCameraSettings, capture: Callable[..., Any] | None = None
     ) -> None:
         self._camera = camera
         self._description = description.camera

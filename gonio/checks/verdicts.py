@@ -83,7 +83,7 @@ class VisitsOfBand:
 
 
 @dataclass(frozen=True)
-class Taken:
+class FramesTaken:
     """What became of the frames and the points of one band."""
 
     frames: int
@@ -169,7 +169,7 @@ def of_energy(found: Sequence[Hemispherical]) -> Check:
     return Check(name, verdict, rho, figure, "1; more than two standard uncertainties above it is bad")
 
 
-def of_run(taken: Taken, visits: VisitsOfBand, band: str) -> list[Check]:
+def of_run(taken: FramesTaken, visits: VisitsOfBand, band: str) -> list[Check]:
     """What frames, visits and points of one band say of their run."""
     out = [_reference(visits), _scatter(taken), _saturated(taken), _lost(taken), _clipped(taken)]
     return [Check(**{**one.to_json(), "band": band}) for one in out]
@@ -192,7 +192,7 @@ def _reference(visits: VisitsOfBand) -> Check:
     return Check(name, verdict, swing, figure, limit)
 
 
-def _scatter(taken: Taken) -> Check:
+def _scatter(taken: FramesTaken) -> Check:
     name = "repeatability"
     if not taken.freedom:
         return Check(
@@ -205,7 +205,7 @@ def _scatter(taken: Taken) -> Check:
     return Check(name, verdict, math.sqrt(taken.scatter), figure, reason)
 
 
-def _saturated(taken: Taken) -> Check:
+def _saturated(taken: FramesTaken) -> Check:
     share = taken.frames_left_out / max(taken.frames, 1)
     points = sum(flag == "saturated" for flag in taken.flags)
     verdict: Verdict = "bad" if points > LOST * len(taken.flags) else "look" if points or share > FULL else "ok"
@@ -214,7 +214,7 @@ def _saturated(taken: Taken) -> Check:
     return Check("saturation", verdict, share, figure, limit, "lower acquisition.exposure_target" if points else "")
 
 
-def _lost(taken: Taken) -> Check:
+def _lost(taken: FramesTaken) -> Check:
     lost = [flag for flag in taken.flags if flag and flag != "saturated"]
     share = len(lost) / max(len(taken.flags), 1)
     verdict: Verdict = "bad" if share > LOST else "look" if lost else "ok"
@@ -222,7 +222,7 @@ def _lost(taken: Taken) -> Check:
     return Check("lost points", verdict, share, figure, "none; a tenth of them leaves holes in curves")
 
 
-def _clipped(taken: Taken) -> Check:
+def _clipped(taken: FramesTaken) -> Check:
     bad = CLIPPED < taken.clipped < 1.0  # all at 0 is a camera without noise
     verdict: Verdict = "bad" if bad and taken.clipped > LOST else "look" if bad else "ok"
     figure = f"{_percent(taken.clipped)} of the pixels of the dark frames read 0 DN"

@@ -23,7 +23,7 @@ _MEANT = re.compile("reflectan|albedo|remission|radiance.?factor|reflexionsgrad|
 
 
 @dataclass(frozen=True)
-class Reflectance:
+class CertifiedReflectance:
     """What a certificate says of a reference."""
 
     name: str
@@ -34,7 +34,7 @@ class Reflectance:
     """Standard uncertainties."""
 
 
-def reflectance(path: Path, wanted: str | None = None) -> Reflectance:
+def reflectance(path: Path, wanted: str | None = None) -> CertifiedReflectance:
     """The reflectance in a certificate.
 
     Parameters
@@ -50,7 +50,7 @@ def reflectance(path: Path, wanted: str | None = None) -> Reflectance:
         The file cannot be read, is no DCC, or holds no such quantity or several.
     """
     root = _root(path)
-    found: dict[str, Reflectance] = {}
+    found: dict[str, CertifiedReflectance] = {}
     for result in _all(root, "result"):
         quantities = [(_name(q), q) for q in _all(result, "quantity")]
         waves = next((w for _, q in quantities if (w := _values(q, _LENGTHS, path)) and len(w[0]) > 1), None)
@@ -90,18 +90,18 @@ def _root(path: Path) -> ElementTree.Element:
 
 def _reflectance(
     name: str, known: tuple[tuple[float, ...], tuple[float, ...]], waves: tuple[float, ...], path: Path
-) -> Reflectance:
+) -> CertifiedReflectance:
     values, u = known
     if not all(0.0 < value <= 1.0 for value in values):
         raise ConfigError(f"{path}: {name} = {min(values):g} to {max(values):g}: a reflectance lies above 0, up to 1")
     if len(values) == 1:
-        return Reflectance(name, (), values, u)
+        return CertifiedReflectance(name, (), values, u)
     if len(waves) != len(values):
         raise ConfigError(f"{path}: {name} has {len(values)} values and {len(waves)} wavelengths beside them")
     order = sorted(range(len(waves)), key=lambda k: waves[k])
     if any(waves[b] <= waves[a] for a, b in itertools.pairwise(order)):
         raise ConfigError(f"{path}: {name}: a wavelength stands there twice")
-    return Reflectance(name, *(tuple(column[k] for k in order) for column in (waves, values, u)))
+    return CertifiedReflectance(name, *(tuple(column[k] for k in order) for column in (waves, values, u)))
 
 
 def _values(

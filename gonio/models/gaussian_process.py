@@ -137,7 +137,7 @@ class Scaled:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class PlacePairs:
     """Pairs of places."""
 
     a: Coordinates
@@ -193,13 +193,13 @@ class Training:
     prior: Prior = OF_CURVES
 
     @cached_property
-    def pairs(self) -> Pairs:
+    def pairs(self) -> PlacePairs:
         """Among the values."""
         return self.pairs_with(self.at)
 
-    def pairs_with(self, places: Coordinates) -> Pairs:
+    def pairs_with(self, places: Coordinates) -> PlacePairs:
         """Between places and the values."""
-        return Pairs(places, self.at, self.prior)
+        return PlacePairs(places, self.at, self.prior)
 
     def only(self, kept: npt.NDArray[np.bool_]) -> Training:
         """Some of them."""
@@ -358,7 +358,7 @@ class Process:
 
         places = self.seen(places)
         cross = self.data.pairs_with(places).kernel(self.p)
-        prior = Pairs(places, places, self.data.prior).kernel(self.p)
+        prior = PlacePairs(places, places, self.data.prior).kernel(self.p)
         if effects is not None:
             cross = cross + effects @ self.data.causes[:, : effects.shape[1]].T
             prior = prior + effects @ effects.T

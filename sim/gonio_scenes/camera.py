@@ -81,7 +81,7 @@ class CameraTable(Strict):
 
 
 @dataclass(frozen=True)
-class Camera:
+class SceneCamera:
     """A camera in the scene: a lens (or hole) at a point, and a picture on the plane at distance 1 before it."""
 
     position: Floats
@@ -190,7 +190,7 @@ def on_disc(a: Floats, b: Floats) -> tuple[Floats, Floats]:
 # --- from files ------------------------------------------------------------------------------------------------------
 
 
-def from_table(table: CameraTable, rig: RigDescription | None) -> Camera:
+def from_table(table: CameraTable, rig: RigDescription | None) -> SceneCamera:
     """The camera that a scene file describes; `rig` is the description that its key `rig` names."""
     if rig is not None:
         return _of_rig(table, rig)
@@ -204,7 +204,7 @@ def from_table(table: CameraTable, rig: RigDescription | None) -> Camera:
     forward = look / distance
     right = np.cross(forward, np.array(table.up))
     right /= np.linalg.norm(right)
-    return Camera(
+    return SceneCamera(
         position=position,
         right=right,
         down=np.cross(forward, right),
@@ -218,13 +218,13 @@ def from_table(table: CameraTable, rig: RigDescription | None) -> Camera:
     )
 
 
-def _of_rig(table: CameraTable, rig: RigDescription) -> Camera:
+def _of_rig(table: CameraTable, rig: RigDescription) -> SceneCamera:
     """The rig's camera as its lens forms the image: in focus at the sample's centre."""
     assert table.pose is not None
     seen = view(rig, table.pose.pose())
     distance = rig.geometry.camera_distance_mm
     image_mm = 1.0 / (1.0 / rig.camera.focal_length_mm - 1.0 / distance)
-    return Camera(
+    return SceneCamera(
         position=seen.camera_mm,
         right=seen.image_x,
         down=seen.image_y,
@@ -282,7 +282,7 @@ class SensorTable(Strict):
         return SensorModel.model_validate({"width": width, "height": height, **own})
 
 
-def falloff(sensor: SensorTable, camera: Camera) -> Floats:
+def falloff(sensor: SensorTable, camera: SceneCamera) -> Floats:
     """The lens's share of light at each pixel's centre, 1 on the axis, (height, width)."""
     u = (np.arange(camera.width) + 0.5 - 0.5 * camera.width) * camera.step
     v = (np.arange(camera.height) + 0.5 - 0.5 * camera.height) * camera.step
@@ -296,7 +296,7 @@ def falloff(sensor: SensorTable, camera: Camera) -> Floats:
     return out
 
 
-def require_size(camera: Camera) -> None:
+def require_size(camera: SceneCamera) -> None:
     """Raise `ConfigError` where a picture is too small for a raw file."""
     if min(camera.width, camera.height) < SMALLEST:
         raise ConfigError(
@@ -305,7 +305,7 @@ def require_size(camera: Camera) -> None:
         )
 
 
-def expose(sensor: SensorTable, camera: Camera, radiance: Floats, exposure_s: float, seed: int) -> Frame:
+def expose(sensor: SensorTable, camera: SceneCamera, radiance: Floats, exposure_s: float, seed: int) -> Frame:
     """The raw frame of radiances (height, width), with the noise of the simulated rig's camera."""
     from gonio_sim.camera import Sensor
     from gonio_sim.world import Stream, key

@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 
 from gonio.typing import Bools, Floats, NDArray
-from gonio_scenes.lights import Disc
-from gonio_scenes.material import Material
+from gonio_scenes.lights import DiscLight
+from gonio_scenes.material import SceneMaterial
 from gonio_scenes.scene import Scene
 from gonio_scenes.world import Hits, local
 
@@ -29,7 +29,7 @@ class Integrator:
         self.scene = scene
         self.rays: Counter[str] = Counter()
         """How many rays were followed: from the camera, as mirror rays, toward lights."""
-        self._discs = [light for light in scene.lights if isinstance(light, Disc)]
+        self._discs = [light for light in scene.lights if isinstance(light, DiscLight)]
         to_see = scene.world.casts_shadows or bool(self._discs) or scene.ambient is not None
         self._mirrors = to_see and any(material.has_spike for material in scene.material)
         self._one_material = len(set(map(id, scene.material))) == 1
@@ -109,7 +109,7 @@ class Integrator:
         out = np.zeros((hits.shape.size, scene.wavelength_nm.size))
         view = local(direction, hits.facing, hits.tangent, -1.0)
         for light in scene.lights:
-            shift = random.random((hits.shape.size, 2)) if random is not None and isinstance(light, Disc) else None
+            shift = random.random((hits.shape.size, 2)) if random is not None and isinstance(light, DiscLight) else None
             count = light.samples if shift is not None else 1
             for sample in range(count):
                 arriving = light.arrive(hits.position, sample, shift)
@@ -148,11 +148,11 @@ class Integrator:
         mirrored = direction[kept] + 2.0 * cosine[kept, None] * hits.facing[kept]
         return kept, carried[kept], mirrored / np.linalg.norm(mirrored, axis=1)[:, None]
 
-    def _by_material(self, hits: Hits, here: Indices) -> list[tuple[Material, Indices]]:
+    def _by_material(self, hits: Hits, here: Indices) -> list[tuple[SceneMaterial, Indices]]:
         """The hits `here`, those of each material together."""
         if self._one_material:
             return [(self.scene.material[0], here)] if here.size else []
-        groups: dict[int, tuple[Material, list[int]]] = {}
+        groups: dict[int, tuple[SceneMaterial, list[int]]] = {}
         for k, material in enumerate(self.scene.material):
             groups.setdefault(id(material), (material, []))[1].append(k)
         parts = [(material, here[np.isin(hits.shape[here], shapes)]) for material, shapes in groups.values()]
@@ -170,7 +170,9 @@ def _lights_facet(direction: Floats, hits: Hits, here: Indices) -> Bools:
     )
 
 
-def _nearest(discs: list[Disc], origin: Floats, direction: Floats, nearest: Floats) -> list[tuple[Disc, Indices]]:
+def _nearest(
+    discs: list[DiscLight], origin: Floats, direction: Floats, nearest: Floats
+) -> list[tuple[DiscLight, Indices]]:
     """The rays that see each disc before anything else."""
     which = np.full(nearest.shape, -1)
     for k, disc in enumerate(discs):

@@ -33,14 +33,14 @@ Wavelength = Annotated[float, Field(ge=WAVELENGTHS[0], le=WAVELENGTHS[1])]
 MAX_WAVELENGTHS = 1000
 
 
-class Spectrum(Strict):
+class LampSpectrum(Strict):
     """Values at wavelengths, straight lines between them; nothing is said of wavelengths outside."""
 
     wavelength_nm: tuple[Wavelength, ...]
     value: tuple[float, ...]
 
     @model_validator(mode="after")
-    def _sound(self) -> "Spectrum":
+    def _sound(self) -> "LampSpectrum":
         if len(self.wavelength_nm) != len(self.value) or not self.value:
             raise ValueError(
                 f"wavelength_nm has {len(self.wavelength_nm)} entries and value {len(self.value)}: "
@@ -67,7 +67,7 @@ class Spectrum(Strict):
         return float(np.interp(wavelength_nm, self.wavelength_nm, self.value))
 
 
-class NonNegativeSpectrum(Spectrum):
+class NonNegativeSpectrum(LampSpectrum):
     """A spectrum without a value below 0: of a light, or of a reflectance."""
 
     @model_validator(mode="after")
@@ -103,7 +103,7 @@ Spectral = Annotated[
 """A number at least 0, the same at every wavelength, or a table."""
 
 
-class Range(Strict):
+class WavelengthRange(Strict):
     """Wavelengths from `start` to `stop`, both included where the step fits [nm]."""
 
     start: Wavelength
@@ -111,7 +111,7 @@ class Range(Strict):
     step: Annotated[float, Field(gt=0)]
 
     @model_validator(mode="after")
-    def _sound(self) -> "Range":
+    def _sound(self) -> "WavelengthRange":
         if self.stop < self.start:
             raise ValueError("needs start <= stop")
         if (self.stop - self.start) / self.step >= MAX_WAVELENGTHS:
@@ -124,9 +124,9 @@ class Range(Strict):
         return tuple(self.start + k * self.step for k in range(count))
 
 
-def values(spectral: float | Spectrum, wavelength_nm: Floats) -> Floats:
+def values(spectral: float | LampSpectrum, wavelength_nm: Floats) -> Floats:
     """A spectral number at wavelengths, of their shape."""
-    if isinstance(spectral, Spectrum):
+    if isinstance(spectral, LampSpectrum):
         return np.array([spectral.at(wave) for wave in wavelength_nm])
     return np.full(wavelength_nm.shape, float(spectral))
 
@@ -280,7 +280,7 @@ class PointLight:
 
 
 @dataclass(frozen=True)
-class Disc:
+class DiscLight:
     """A disc of uniform radiance on one side."""
 
     power: Floats
@@ -317,7 +317,7 @@ class Disc:
         return np.where((toward < 0.0) & (distance > 0.0) & inside, distance, math.inf)
 
 
-Light = Directional | PointLight | Disc
+Light = Directional | PointLight | DiscLight
 
 
 def across(normal: Floats) -> tuple[Floats, Floats]:
@@ -364,7 +364,7 @@ def from_table(table: Shining, wavelength_nm: Floats, rig: RigDescription | None
     if isinstance(table, PointTable):
         return PointLight(power(table, table.intensity, wavelength_nm), np.array(table.position_mm), field)
     if isinstance(table, DiscTable):
-        return Disc(
+        return DiscLight(
             power(table, table.radiance, wavelength_nm),
             np.array(table.center_mm),
             unit(table.normal),
@@ -388,7 +388,7 @@ def _lamp(table: RigTable, wavelength_nm: Floats, rig: RigDescription, pose: Pos
     if half == 0.0:
         return PointLight(irradiance * distance**2, position, field)
     # on the axis a disc of radiance L and half-angle a gives the irradiance pi L sin^2 a
-    return Disc(
+    return DiscLight(
         irradiance / (math.pi * math.sin(half) ** 2),
         position,
         -position / distance,

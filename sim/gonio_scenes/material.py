@@ -16,7 +16,7 @@ from gonio.models.parameters import Parameters, index_at
 from gonio.samples.textures import PATTERNS, picture
 from gonio.typing import Floats
 from gonio_scenes import polarised
-from gonio_scenes.lights import NonNegativeSpectrum, Spectral, Spectrum, is_table, table_or, values
+from gonio_scenes.lights import LampSpectrum, NonNegativeSpectrum, Spectral, is_table, table_or, values
 
 AMBIENT_NODES = 65
 """Polar angles at which rho_hd is computed; between them it is interpolated, to 1e-3 of its largest value for gentle
@@ -88,7 +88,7 @@ class _Level:
     """Whether the BRDF is the same at all wavelengths."""
 
 
-class Material:
+class SceneMaterial:
     """A material at the wavelengths of a scene.
 
     Parameters
@@ -204,7 +204,7 @@ class Material:
 
     def _made(self, level: tuple[float, ...]) -> _Level:
         spectral = _has_spectrum(self._table.parameters) or any(
-            isinstance(end, Spectrum)
+            isinstance(end, LampSpectrum)
             for texture in self._table.textures.values()
             for end in (texture.low, texture.high)
         )
@@ -301,7 +301,7 @@ def _at(parameters: Parameters, wavelength_nm: float, where: str) -> Parameters:
     out: Parameters = {}
     for name, value in parameters.items():
         if is_table(value):
-            out[name] = parse(Spectrum, value, f"{where}.{name}").at(wavelength_nm)
+            out[name] = parse(LampSpectrum, value, f"{where}.{name}").at(wavelength_nm)
         elif isinstance(value, dict):
             out[name] = _at(value, wavelength_nm, f"{where}.{name}")
         else:

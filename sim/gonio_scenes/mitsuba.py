@@ -25,8 +25,8 @@ from gonio.formats import rgl
 from gonio.models import HeTorrance, Lambert
 from gonio.models.parameters import index_at
 from gonio.typing import Array, Floats, Ints
-from gonio_scenes.lights import Directional, Disc, PointLight, across
-from gonio_scenes.material import Material
+from gonio_scenes.lights import Directional, DiscLight, PointLight, across
+from gonio_scenes.material import SceneMaterial
 from gonio_scenes.scene import Scene
 from gonio_scenes.shapes import Shape
 from gonio_scenes.shapes.analytic import Analytic
@@ -116,7 +116,7 @@ class _Writer:
         self.files: dict[str, bytes] = {}
         self.left_out: dict[str, str] = {}
         self.near, self.far, self.reach = _extent(scene)
-        self.discs = [light for light in scene.lights if isinstance(light, Disc)]
+        self.discs = [light for light in scene.lights if isinstance(light, DiscLight)]
         # Mitsuba's one switch holds for discs and for what lies around the scene
         self.hidden = bool(self.discs) and not any(disc.visible for disc in self.discs) and scene.ambient is None
 
@@ -177,7 +177,9 @@ class _Writer:
 
     # --- materials --------------------------------------------------------------------------------------------------
 
-    def _bsdf(self, name: str, material: Material, plugin: str, channels: Channels, suffix: str) -> ElementTree.Element:
+    def _bsdf(
+        self, name: str, material: SceneMaterial, plugin: str, channels: Channels, suffix: str
+    ) -> ElementTree.Element:
         if plugin == "diffuse":
             albedo = math.pi * self._values(material, channels, _UP, _UP)[0]
             return _node("bsdf", plugin, _value("rgb", "reflectance", _text(albedo)))
@@ -197,7 +199,7 @@ class _Writer:
         )
         return _node("bsdf", plugin, _value("string", "filename", file))
 
-    def _values(self, material: Material, channels: Channels, omega_i: Floats, omega_r: Floats) -> Floats:
+    def _values(self, material: SceneMaterial, channels: Channels, omega_i: Floats, omega_r: Floats) -> Floats:
         """The BRDF without the spike where every texture is 0: (n, channels)."""
         f = material.untextured(omega_i, omega_r)
         return np.broadcast_to(f, (f.shape[0], self.scene.wavelength_nm.size))[:, channels]
@@ -211,7 +213,7 @@ class _Writer:
             return name
         return str(list(dict.fromkeys(table.material for table in self.scene.tables.shape)).index(name) + 1)
 
-    def _require_isotropic(self, name: str, material: Material, channels: Channels) -> None:
+    def _require_isotropic(self, name: str, material: SceneMaterial, channels: Channels) -> None:
         turns = np.deg2rad([0.0, 37.0, 101.0])
         omega_i, omega_r = (
             np.stack([np.sin(t) * np.cos(turns + p), np.sin(t) * np.sin(turns + p), np.full(3, np.cos(t))], axis=1)
@@ -230,7 +232,7 @@ class _Writer:
         """Note what the files do not carry, and why: of each rule that applies."""
         self.left_out |= {what: why for applies, what, why in rules if applies and what not in self.left_out}
 
-    def _say_of_material(self, where: str, material: Material, plugin: str) -> None:
+    def _say_of_material(self, where: str, material: SceneMaterial, plugin: str) -> None:
         text = f"interpolated between {self.incidences} incidences and {self.nodes} x {self.nodes} half vectors"
         metal = plugin == "conductor"
         self._say(
@@ -314,7 +316,7 @@ class _Writer:
             yield _node("emitter", "constant", _value("rgb", "radiance", _text(self.scene.ambient[channels])))
 
 
-def _plugin(material: Material) -> str:
+def _plugin(material: SceneMaterial) -> str:
     """The plug-in that has the same formula; "measured", which reads slices, where there is none."""
     model = material.model
     if isinstance(model, HeTorrance) and model.sigma0_um == 0.0 and model.diffuse_albedo == 0.0:

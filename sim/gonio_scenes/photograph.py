@@ -20,9 +20,9 @@ from gonio_scenes.scene import Scene
 from gonio_scenes.shapes import AnyShape, Shape
 from gonio_scenes.shapes.analytic import Analytic, Revolution
 from gonio_scenes.shapes.heightfield import Heights
-from gonio_scenes.squares import FLAGS, RING, Mask, Pixels, Squares, common, require_light
+from gonio_scenes.squares import FLAGS, RING, Mask, Squares, WholePicture, common, require_light
 from gonio_scenes.vantage import Seen, Vantage, displaced
-from gonio_scenes.world import Hits, World
+from gonio_scenes.world import Hits, SceneShapes
 
 ROWS = 4000
 """Squares, about, where the file does not say how large they are."""
@@ -117,7 +117,7 @@ def _looked_at(
     exposure: Exposure,
     margin: int,
     moved: dict[str, tuple[Vantage, Vantage]],
-) -> Pixels:
+) -> WholePicture:
     """What every pixel's centre sees, and why some are not used."""
     camera = scene.camera
     count = camera.pixels
@@ -165,7 +165,7 @@ def _looked_at(
     for k, here in reversed(list(enumerate(reasons))):
         why[here] = k + 1
     why[~seen] = -1
-    return Pixels(received.reshape(shape), why, piece, flat, facets and crease is None)
+    return WholePicture(received.reshape(shape), why, piece, flat, facets and crease is None)
 
 
 def _cut_off(exposure: Exposure, received: Floats, low: Mask) -> Mask:
@@ -204,7 +204,7 @@ def _beside_crease(vantage: Vantage, crease: Floats, hits: Hits, column: Floats,
         return out
     for down, right in RING:
         origin, direction = vantage.camera.through(column + right * beside, row + down * beside)
-        there = World([vantage.shape], vantage.camera.position).hit(origin - vantage.shift, direction)
+        there = SceneShapes([vantage.shape], vantage.camera.position).hit(origin - vantage.shift, direction)
         out |= (np.abs((there.facing - hits.facing) @ crease) > SAME) | (there.shape < 0)
     return out
 

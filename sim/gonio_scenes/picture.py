@@ -18,7 +18,7 @@ from gonio.lab.rig.dng import encode_dng
 from gonio.lab.rig.protocols import Frame
 from gonio.typing import Floats, JsonObject, NDArray
 from gonio_scenes.camera import SATURATED, expose
-from gonio_scenes.lights import Disc, relative_power
+from gonio_scenes.lights import DiscLight, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
 
@@ -227,7 +227,7 @@ def left_out(scene: Scene) -> list[dict[str, str]]:
     ambient, shadows = scene.ambient is not None, world.casts_shadows
     spikes = any(material.has_spike for material in scene.material)
     constant = all(material.constant for material in scene.material)
-    discs = [light for light in scene.lights if isinstance(light, Disc)]
+    discs = [light for light in scene.lights if isinstance(light, DiscLight)]
     one_ray = camera.samples == 1 and scene.tolerance == 0.0
     centres = camera.noiseless and scene.tolerance == 0.0 and all(disc.samples == 1 for disc in discs)
     to_mirror = shadows or discs or ambient

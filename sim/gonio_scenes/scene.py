@@ -16,22 +16,22 @@ from gonio.models import examine
 from gonio.typing import Floats
 from gonio_scenes import camera as cameras
 from gonio_scenes import lights, polarised
-from gonio_scenes.camera import Camera, CameraTable, SensorTable, require_size
+from gonio_scenes.camera import CameraTable, SceneCamera, SensorTable, require_size
 from gonio_scenes.lights import (
     MAX_WAVELENGTHS,
     AmbientTable,
-    Disc,
+    DiscLight,
     Light,
     LightTable,
     PointLight,
-    Range,
     RigTable,
     Wavelength,
+    WavelengthRange,
     table_or,
 )
-from gonio_scenes.material import Material, MaterialTable
+from gonio_scenes.material import MaterialTable, SceneMaterial
 from gonio_scenes.shapes import AnyShape
-from gonio_scenes.world import World
+from gonio_scenes.world import SceneShapes
 
 
 class PictureTable(Strict):
@@ -108,7 +108,9 @@ class SceneFile(Strict):
     """A scene file, as it is written."""
 
     name: str
-    wavelength_nm: Annotated[tuple[Wavelength, ...] | Range, table_or(Range, "a list of wavelengths in nm")]
+    wavelength_nm: Annotated[
+        tuple[Wavelength, ...] | WavelengthRange, table_or(WavelengthRange, "a list of wavelengths in nm")
+    ]
     camera: CameraTable
     shape: tuple[AnyShape, ...]
     material: dict[str, MaterialTable]
@@ -151,7 +153,7 @@ class SceneFile(Strict):
 
     def waves(self) -> tuple[float, ...]:
         """The wavelengths [nm]."""
-        return self.wavelength_nm.all() if isinstance(self.wavelength_nm, Range) else self.wavelength_nm
+        return self.wavelength_nm.all() if isinstance(self.wavelength_nm, WavelengthRange) else self.wavelength_nm
 
 
 @dataclass(frozen=True)
@@ -160,9 +162,9 @@ class Scene:
 
     name: str
     wavelength_nm: Floats
-    camera: Camera
-    world: World
-    material: tuple[Material, ...]
+    camera: SceneCamera
+    world: SceneShapes
+    material: tuple[SceneMaterial, ...]
     """Of each shape."""
     lights: tuple[Light, ...]
     ambient: Floats | None
@@ -209,7 +211,7 @@ def _built(tables: SceneFile, source: Path) -> Scene:
     rig = _rig(tables.camera, folder)
     pose = tables.camera.pose.pose() if tables.camera.pose is not None else None
     used = dict.fromkeys(shape.material for shape in tables.shape)
-    materials = {name: Material(tables.material[name], waves, folder, f"material.{name}") for name in used}
+    materials = {name: SceneMaterial(tables.material[name], waves, folder, f"material.{name}") for name in used}
     shapes = []
     for k, table in enumerate(tables.shape):
         try:
@@ -222,7 +224,7 @@ def _built(tables: SceneFile, source: Path) -> Scene:
     camera = cameras.from_table(tables.camera, rig)
     if tables.photograph is not None and tables.photograph.simulated:
         require_size(camera)
-    world = World(shapes, camera.position)
+    world = SceneShapes(shapes, camera.position)
     shining: list[Light] = []
     ambient: Floats | None = None
     for k, light in enumerate(tables.light):
@@ -260,9 +262,9 @@ def _rig(table: CameraTable, folder: Path) -> RigDescription | None:
     return find_rig(str(beside) if beside.is_file() else table.rig).description
 
 
-def _check_free(light: Light, where: str, tables: SceneFile, world: World, camera: Camera) -> None:
+def _check_free(light: Light, where: str, tables: SceneFile, world: SceneShapes, camera: SceneCamera) -> None:
     """Refuse a light inside a closed shape, unless the camera is in it too (a room)."""
-    if not isinstance(light, (PointLight, Disc)):
+    if not isinstance(light, (PointLight, DiscLight)):
         return
     place = light.position if isinstance(light, PointLight) else light.center
     for k, (shape, table) in enumerate(zip(world.shapes, tables.shape, strict=True)):

@@ -43,7 +43,7 @@ DIM, DIM_DN = 3.0, 2.0
 
 
 @dataclass(frozen=True)
-class Pixels:
+class WholePicture:
     """The whole picture, (height, width)."""
 
     received: Floats
@@ -71,7 +71,7 @@ class Squares:
         Whether a pixel sees the mean over its area, and not its centre's radiance.
     """
 
-    def __init__(self, pixels: Pixels, exposure: Exposure, size: int, whole: bool) -> None:
+    def __init__(self, pixels: WholePicture, exposure: Exposure, size: int, whole: bool) -> None:
         self.size, self.flat = size, pixels.flat
         height, width = (n // size for n in pixels.why.shape)
 
@@ -92,7 +92,7 @@ class Squares:
         worst = np.where(why == -1, 1, why)
         first = np.where(worst > 0, worst, 127).min(axis=2)
         self.why = np.where(first == 127, 0, first)
-        """As in `Pixels`; a square that the shape's limb goes through counts as the limb."""
+        """As in `WholePicture`; a square that the shape's limb goes through counts as the limb."""
         good = self.why == 0
         count = used.sum(axis=2)
         with np.errstate(divide="ignore", invalid="ignore"):

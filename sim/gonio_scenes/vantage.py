@@ -10,11 +10,11 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.geometry import angle_between
 from gonio.typing import Bools, Floats
-from gonio_scenes.camera import Camera
-from gonio_scenes.lights import Directional, Disc, Light, PointLight
+from gonio_scenes.camera import SceneCamera
+from gonio_scenes.lights import Directional, DiscLight, Light, PointLight
 from gonio_scenes.scene import UncertaintyTable
 from gonio_scenes.shapes import AnyShape, Shape
-from gonio_scenes.world import Hits, World
+from gonio_scenes.world import Hits, SceneShapes
 
 DISC_POINTS = 64
 """Points of a disc that its irradiance is the mean of: 1e-4 of it, for a disc of 10 degrees."""
@@ -43,7 +43,7 @@ class Seen:
 class Vantage:
     """A camera, a shape and a light, each where it is taken to be."""
 
-    camera: Camera
+    camera: SceneCamera
     light: Light
     shape: Shape
     shift: Floats
@@ -52,7 +52,7 @@ class Vantage:
     def at(self, column: Floats, row: Floats) -> Seen:
         """What places of the picture see; 0 is the picture's left and upper edge."""
         origin, direction = self.camera.through(column, row)
-        hits = World([self.shape], self.camera.position).hit(origin - self.shift, direction)
+        hits = SceneShapes([self.shape], self.camera.position).hit(origin - self.shift, direction)
         return self.of(hits, direction)
 
     def of(self, hits: Hits, direction: Floats) -> Seen:
@@ -80,7 +80,7 @@ class Vantage:
 
     def received(self, position: Floats, normal: Floats) -> Floats:
         """Irradiance on the surface, shadows left aside."""
-        soft = isinstance(self.light, Disc)
+        soft = isinstance(self.light, DiscLight)
         still = np.zeros((len(position), 2)) if soft else None
         out = np.zeros(len(position))
         count = DISC_POINTS if soft else 1
@@ -94,7 +94,7 @@ class Vantage:
         """Unit vectors (n, 3) toward the light's centre and the points of its edge, and their distances (n,)."""
         away = self.light.arrive(position, 0, None)
         yield np.broadcast_to(away.direction, position.shape), np.broadcast_to(away.distance, len(position))
-        if not isinstance(self.light, Disc):
+        if not isinstance(self.light, DiscLight):
             return
         first, second = _across(self.light.normal)
         for angle in np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False):
@@ -106,7 +106,7 @@ class Vantage:
     def half_angles(self, position: Floats) -> tuple[Floats, float]:
         """Half-angles [rad] that the light (at each position) and the lens (at their middle) are seen under."""
         light = np.zeros(len(position))
-        if isinstance(self.light, Disc):
+        if isinstance(self.light, DiscLight):
             light = np.arctan(self.light.radius / np.linalg.norm(self.light.center - position, axis=1))
         middle = position.mean(axis=0)
         return light, math.atan(self.camera.lens_radius / float(np.linalg.norm(self.camera.position - middle)))
@@ -180,7 +180,7 @@ def _pair(both: Iterator[Vantage]) -> tuple[Vantage, Vantage]:
     return plus, minus
 
 
-def _turned(camera: Camera, one: str, other: str, angle: float) -> Camera:
+def _turned(camera: SceneCamera, one: str, other: str, angle: float) -> SceneCamera:
     """The camera turned by an angle, from one of its axes toward another."""
     a, b = getattr(camera, one), getattr(camera, other)
     c, s = math.cos(angle), math.sin(angle)

@@ -41,7 +41,7 @@ class Hits:
         return Hits(*(getattr(self, each.name).take(here, axis=0) for each in fields(self)))
 
 
-class World:
+class SceneShapes:
     """The shapes of a scene, in the order of its file, for a camera at the point `eye` [mm]."""
 
     def __init__(self, shapes: Sequence[Shape], eye: Floats) -> None:

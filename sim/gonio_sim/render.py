@@ -54,7 +54,7 @@ Painter = Callable[[PixelMap, View, Bools, Floats], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Disc:
+class SampleDisc:
     """A round surface in the sample's plane: where it lies [mm], and its BRDF [1/sr], or what fills it in."""
 
     paint: Painter | float
@@ -148,21 +148,21 @@ class Renderer:
             added += camera.stray_halo * halo / share
         return np.asarray(np.where(lit, np.minimum(rate + added, BRIGHTEST), 0.0), dtype=np.float32)
 
-    def _discs(self, band: Band, target: InHolder) -> Iterator[Disc]:
+    def _discs(self, band: Band, target: InHolder) -> Iterator[SampleDisc]:
         """The round surfaces in view."""
         description, reference = self._world.truth, self._world.truth.reference
         in_place, whole = reference.diameter_mm / 2, description.holder.sample_diameter_mm / 2
         if target == "trap":
-            yield Disc(0.0, whole)
+            yield SampleDisc(0.0, whole)
         elif target == "edge":
-            yield Disc(self._edge(band), in_place)
+            yield SampleDisc(self._edge(band), in_place)
         elif target == "reference" and reference.how != "beside":
-            yield Disc(self._reference(band), in_place)
+            yield SampleDisc(self._reference(band), in_place)
         else:
             if reference.how == "beside":
-                yield Disc(self._reference(band), in_place, reference.offset_mm)
+                yield SampleDisc(self._reference(band), in_place, reference.offset_mm)
             if target == "mirror":
-                yield Disc(self._mirror(band), whole)
+                yield SampleDisc(self._mirror(band), whole)
             else:
                 yield self._sample(band)
 
@@ -177,7 +177,7 @@ class Renderer:
         sample = self._world.sample
         return _wavelengths(band) if sample is not None and sample.integrate_band else [(band.centre_nm, 1.0)]
 
-    def _through(self, band: Band) -> Iterator[Disc]:
+    def _through(self, band: Band) -> Iterator[SampleDisc]:
         """What lets light through: the sample alone, point by point without the cones of lamp and lens."""
         model, textures, waves = self._model, self._textures, self._waves(band)
         if model is None:
@@ -197,7 +197,7 @@ class Renderer:
             for part in textures.parts(seen, lit, lambda one: of(one, (rows[some], cols[some]))[None]):
                 brdf[part.rows, part.cols] += part.weight * of(part.model, (part.rows, part.cols))
 
-        yield Disc(paint, self._radius)
+        yield SampleDisc(paint, self._radius)
 
     def _straight_through(self, pose: Pose, band: Band) -> Floats32:
         """The holder is empty: pixels whose line of sight meets the lamp see it, blurred by the lens's pupil.
@@ -244,7 +244,7 @@ class Renderer:
         assert self._world.truth.reference.table is not None
         return read(self._world.truth.reference.table)
 
-    def _sample(self, band: Band) -> Disc:
+    def _sample(self, band: Band) -> SampleDisc:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
         model, radius, waves = self._model, self._radius, self._waves(band)
         if model is None:
@@ -258,7 +258,7 @@ class Renderer:
             if model.has_spike:
                 self._paint_spike(model, waves, seen, scene, covered, brdf)
 
-        return Disc(paint if self._textures is None else self._textured(self._textures, waves), radius)
+        return SampleDisc(paint if self._textures is None else self._textured(self._textures, waves), radius)
 
     def _lobes(self, model: models.Model, scene: View, waves: list[tuple[float, float]]) -> Function:
         """A model's lobe [1/sr] over the sample, averaged over the cones of lamp and lens."""

@@ -40,7 +40,7 @@ Probe = Callable[[models.Model], Floats]
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class TextureLevel:
     """What some pixels see of one level of the textures."""
 
     model: models.Model
@@ -79,7 +79,7 @@ class Textures:
             told = ", ".join(f"{name} at {share:g}" for name, share in values.items())
             raise ConfigError(f'sample "{self._sample.name}", [texture] with {told}: {error}') from error
 
-    def parts(self, seen: PixelMap, covered: Bools, probe: Probe) -> Iterator[Part]:
+    def parts(self, seen: PixelMap, covered: Bools, probe: Probe) -> Iterator[TextureLevel]:
         """Level by level, the pixels that see it; `probe` tells how close levels must be in this view."""
         levels = self._levels(probe)
         total = math.prod(map(len, levels))
@@ -100,7 +100,7 @@ class Textures:
             here = slice(weights.indptr[level], weights.indptr[level + 1])
             if here.start < here.stop:
                 at = weights.indices[here]
-                yield Part(self._model(tuple(map(float, shares))), rows[at], cols[at], weights.data[here])
+                yield TextureLevel(self._model(tuple(map(float, shares))), rows[at], cols[at], weights.data[here])
 
     def _places(self, seen: PixelMap, rows: Whole, cols: Whole) -> list[Callable[[int, int], Floats]]:
         """x and y [mm] of the spots of pixels from one number up to another, (pixels, spots)."""

@@ -20,7 +20,7 @@ from gonio.errors import ConfigError, DataError, DeviceError, Interrupted
 from gonio.lab.acquisition.journal import Journal, encode, now
 from gonio.lab.acquisition.plan import ANGLES, Assessed
 from gonio.lab.acquisition.run import Run
-from gonio.lab.acquisition.run_settings import Request
+from gonio.lab.acquisition.run_settings import RunRequest
 from gonio.lab.reduction import brdf
 from gonio.lab.rig.dng import read_raw
 from tests.command_line import gonio
@@ -214,7 +214,7 @@ def test_a_long_run_reads_back_bit_for_bit(tmp_path: Path) -> None:
     plan = plan_in(tmp_path, text)
     short = measure(plan_in(tmp_path), tmp_path / "short")
     template = next(e for e in short.events() if e.get("kind") == "point")
-    request = Request(plan, short.description, SAMPLE, 1, "")
+    request = RunRequest(plan, short.description, SAMPLE, 1, "")
     pose = next(iter(short.steps())).pose
     request.__dict__["points"] = [Assessed(point, pose) for point in plan.points]  # not what is tested
     with Run.create(tmp_path / "RUN", request) as run:

@@ -180,7 +180,7 @@ def test_a_file_of_another_suffix_is_named_where_none_comes_that_counts(tmp_path
 @pytest.mark.parametrize("suffix", [".TIF", "tif", "TIF"])
 def test_a_suffix_may_be_named_as_people_write_it(tmp_path: Path, suffix: str) -> None:
     table = {"folder": str(tmp_path), "timeout_s": 1.0, "trigger": {"how": "none"}, "suffixes": [suffix]}
-    with FolderCamera(DESCRIPTION, settings.FolderCamera.model_validate(table)) as camera:
+    with FolderCamera(DESCRIPTION, settings.FolderCameraSettings.model_validate(table)) as camera:
         (tmp_path / "a.tif").write_bytes(b"new")
         assert [path.name for path in camera._new()] == ["a.tif"]
 
@@ -200,7 +200,7 @@ def plain(value: int) -> Frame:
 def opened(folder: Path, timeout_s: float = 1.0, *command: str) -> FolderCamera:
     trigger = {"how": "command", "command": command or ["true"]}
     table = {"folder": str(folder), "timeout_s": timeout_s, "trigger": trigger}
-    return FolderCamera(DESCRIPTION, settings.FolderCamera.model_validate(table))
+    return FolderCamera(DESCRIPTION, settings.FolderCameraSettings.model_validate(table))
 
 
 def test_a_program_may_write_the_same_name_again_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

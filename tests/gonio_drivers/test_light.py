@@ -46,7 +46,7 @@ class Plugged:
     """A lamp at the end of a cable, and everything that was said on the cable."""
 
     name: str
-    twin: lamps.Lamp
+    twin: lamps.LampTwin
     port: str
     heard: list[str]
 

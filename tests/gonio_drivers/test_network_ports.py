@@ -13,7 +13,7 @@ from gonio_drivers import guard, service
 from gonio_drivers.dynamixel import Bus
 from gonio_drivers.service import ServoService
 from gonio_sim.wire.bus import ServoBus
-from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
+from gonio_sim.wire.lamps import LAMPS, LampTwin, Shine
 from gonio_sim.wire.peer import Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Servo
 
@@ -115,7 +115,7 @@ def test_a_raw_server_is_asked_once_and_not_at_every_line_speed() -> None:
 @pytest.mark.parametrize("how", ["socket", "rfc2217"])
 def test_a_lamp_is_found_and_darkened_over_the_network(how: str) -> None:
     seen: list[Shine] = []
-    lamp: Lamp = LAMPS["scpi"](BANDS, seen.append)
+    lamp: LampTwin = LAMPS["scpi"](BANDS, seen.append)
     with served(lamp, how, lamp.bauds[0]) as port:
         found = service.lamp_on(port)
         assert found is not None

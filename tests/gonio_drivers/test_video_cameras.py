@@ -31,7 +31,7 @@ def response(tmp_path: Path) -> str:
 
 def video(stand_in: VideoStandIn, response: str | None, **changes: object) -> UvcCamera:
     table = {"device": "/dev/video0", "response": response} | changes
-    return UvcCamera(DESCRIPTION, settings.UvcCamera.model_validate(table), stand_in)
+    return UvcCamera(DESCRIPTION, settings.UvcCameraSettings.model_validate(table), stand_in)
 
 
 def images(exposure_s: float) -> np.ndarray:
@@ -74,11 +74,11 @@ def test_a_video_camera_with_a_calibrated_curve_gives_its_own_values(response: s
     curve = tuple(255.0 * (np.arange(256) / 255.0) ** 2.2)
     known = DESCRIPTION.camera.model_copy(update={"bits": 8, "black_level_dn": 2.0, "response": curve})
     rig = DESCRIPTION.model_copy(update={"camera": known})
-    with UvcCamera(rig, settings.UvcCamera(device="/dev/video0"), VideoStandIn(images)) as camera:
+    with UvcCamera(rig, settings.UvcCameraSettings(device="/dev/video0"), VideoStandIn(images)) as camera:
         frame = camera.capture(0.006)
     assert (frame.mosaic[0, 0], frame.black_level_dn, frame.white_level_dn) == (round(25_500 * 0.006), 2.0, 255.0)
     with pytest.raises(ConfigError, match="both make the frames linear"):
-        UvcCamera(rig, settings.UvcCamera(device="/dev/video0", response=response))
+        UvcCamera(rig, settings.UvcCameraSettings(device="/dev/video0", response=response))
 
 
 def test_time_stamps_of_another_clock_make_no_queued_frame_fresh(

@@ -22,7 +22,7 @@ PINHOLE = {
 }
 
 
-def camera(**changes: object) -> cameras.Camera:
+def camera(**changes: object) -> cameras.SceneCamera:
     return cameras.from_table(parse(CameraTable, PINHOLE | changes, "test"), None)
 
 

@@ -12,7 +12,7 @@ import pytest
 from gonio_scenes import mitsuba
 from gonio_scenes.commands import render as command
 from gonio_scenes.shapes.shape import Ints
-from gonio_scenes.world import World
+from gonio_scenes.world import SceneShapes
 
 from gonio.errors import ConfigError
 from gonio.formats.rgl import RglMeasured
@@ -165,7 +165,7 @@ class Triangles:
 def test_triangles_are_written_with_the_normals_that_they_have(smooth: bool) -> None:
     """Mitsuba makes normals up where a file has none, unless it is told not to."""
     up = np.tile([0.0, 0.0, 1.0], (3, 1))
-    made = mitsuba.export(replace(scene(), world=World([Triangles(up if smooth else None)], np.zeros(3))))
+    made = mitsuba.export(replace(scene(), world=SceneShapes([Triangles(up if smooth else None)], np.zeros(3))))
     flat = some(xml(made).find("shape[@type='ply']/boolean[@name='face_normals']"))
     assert flat.attrib["value"] == ("false" if smooth else "true")
     body = made.files["shape-1.ply"].partition(b"end_header\n")[2]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gonio_scenes import squares
 from gonio_scenes.exposures import Exposure
-from gonio_scenes.squares import Pixels, Squares
+from gonio_scenes.squares import Squares, WholePicture
 
 from gonio.typing import Floats
 
@@ -25,12 +25,12 @@ def exposure(value: Floats, **changes: Any) -> Exposure:
     return Exposure(value=value, **usual | changes)
 
 
-def pixels(**changes: Any) -> Pixels:
+def pixels(**changes: Any) -> WholePicture:
     usual: dict[str, Any] = {
         "received": np.full((HEIGHT, WIDTH), 2.0), "why": np.zeros((HEIGHT, WIDTH), dtype=np.int8), "piece": None,
         "flat": False, "kinked": False,
     }  # fmt: skip
-    return Pixels(**usual | changes)
+    return WholePicture(**usual | changes)
 
 
 def quadratic(column: Any, row: Any) -> Any:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from gonio_sweeps.candidates import (
-    Curves,
+    CandidateCurves,
     cover_by_errors,
     cover_evenly,
     fill,
@@ -34,13 +34,15 @@ def at(points: list[Point]) -> np.ndarray:
     return places(Directions.from_degrees(*zip(*rows, strict=True)))
 
 
-def known(f: Callable[[float], float], visited: list[int], seed: int = 0) -> Curves:
+def known(f: Callable[[float], float], visited: list[int], seed: int = 0) -> CandidateCurves:
     """Visits to points, with noise."""
     rng = np.random.default_rng(seed)
     true = np.array([f(float(ALL[k] - 80)) for k in visited])
     u = NOISE * true
     brdf = true + u * rng.normal(size=true.size)
-    return Curves.of(POINTS, at(POINTS), at([POINTS[k] for k in visited]), brdf, u, np.full(len(POINTS), NOISE))
+    return CandidateCurves.of(
+        POINTS, at(POINTS), at([POINTS[k] for k in visited]), brdf, u, np.full(len(POINTS), NOISE)
+    )
 
 
 def fewer_than(most: int) -> Callable[[list[int]], bool]:
@@ -94,7 +96,7 @@ def test_nothing_is_taken_that_does_not_fit_or_is_not_open() -> None:
 
 def test_a_curve_that_is_known_as_well_as_the_reference_is_left_alone() -> None:
     rng = known(lambda x: 0.2, list(itertools.chain.from_iterable([k] * 40 for k in range(0, 161, 5))))
-    exact = Curves(rng.points, rng.visits, np.where(rng.visits > 0, math.log(0.2), 0.0), rng.u)
+    exact = CandidateCurves(rng.points, rng.visits, np.where(rng.visits > 0, math.log(0.2), 0.0), rng.u)
     assert cover_by_errors(exact, ALL, np.ones(161), fewer_than(16)) == []
 
 

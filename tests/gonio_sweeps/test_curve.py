@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gonio_sweeps import curve
 from gonio_sweeps.candidates import Candidates
-from gonio_sweeps.curve import SAMPLER, Curve, _angle_errors
+from gonio_sweeps.curve import SAMPLER, CurveSampler, _angle_errors
 from gonio_sweeps.lobe import TILT, Spike, begun
 from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.posterior import AngleErrors, Before, Posterior
@@ -54,7 +54,7 @@ def half_angles(description: RigDescription) -> tuple[float, float]:
     return description.lamp.half_angle_deg, description.camera.lens_half_angle_deg
 
 
-def sampler(folder: Path, text: str = PLAN) -> Curve:
+def sampler(folder: Path, text: str = PLAN) -> CurveSampler:
     return SAMPLER.open(plan_in(folder, text), describe())
 
 
@@ -299,7 +299,7 @@ def test_a_steep_gap_is_bisected() -> None:
     f = 0.01 + np.exp(-(((x - 30) / 8) ** 2))
     known = Posterior(in_plane(x), f, 1e-3 * f, np.zeros((x.size, 0)))
     places = in_plane(np.arange(-70.0, 71.0, 1.0))
-    grid = curve.Grid.of(places, np.ones(places.theta_r.size))
+    grid = curve.CurveGrid.of(places, np.ones(places.theta_r.size))
     noise = np.full(places.theta_r.size, 1e-3)
     _, _, covers = curve.batch([known], [noise], grid, 1e9, np.ones(places.theta_r.size), 3, 0, 1e-3)
     assert 40 < np.degrees(places.signed[covers[0]]) < 60, "where the flank was left out"

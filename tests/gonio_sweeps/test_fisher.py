@@ -10,7 +10,7 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.value_covariance import Covariance, independent
-from gonio_sweeps.expected import Known, Sights, gains
+from gonio_sweeps.expected import KnownTogether, Sights, gains
 
 from gonio import models
 from gonio.geometry import Directions, solid_angle_of_cone
@@ -25,8 +25,8 @@ WIDE = np.full(2, 1e6)
 """Ranges of the parameters: so wide that they tell nothing."""
 
 
-def known() -> Known:
-    return Known.nothing(WIDE, 3).with_values(np.concatenate([JACOBIAN, COMMON], axis=1), U)
+def known() -> KnownTogether:
+    return KnownTogether.nothing(WIDE, 3).with_values(np.concatenate([JACOBIAN, COMMON], axis=1), U)
 
 
 def test_common_causes_count_as_in_a_fit_with_their_covariance() -> None:
@@ -44,7 +44,7 @@ def test_a_gain_is_what_one_more_value_lowers_the_log_uncertainty_by(weights: np
     for k in range(5):
         after = before.with_values(design[k : k + 1], u[k : k + 1])
 
-        def size(state: Known) -> float:
+        def size(state: KnownTogether) -> float:
             block = state.covariance[:2, :2]
             if weights is None:
                 return 0.25 * float(np.linalg.slogdet(block)[1])  # of two parameters, and of u and not of its square
@@ -58,7 +58,7 @@ def test_repeats_do_not_beat_a_common_scale() -> None:
     """A level that is known to 1 % stays at 1 %, however often it is measured."""
     level = np.ones((1, 1))
     design = np.concatenate([level, 0.01 * level], axis=1)  # search scale: logarithm of the level
-    state = Known.nothing(np.array([1e3]), 1).with_values(design, np.array([0.005]), np.array([1e6]))
+    state = KnownTogether.nothing(np.array([1e3]), 1).with_values(design, np.array([0.005]), np.array([1e6]))
     assert state.u[0] == pytest.approx(0.01, rel=1e-3)  # the million values leave 0.0005 %
 
 

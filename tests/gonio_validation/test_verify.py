@@ -75,7 +75,7 @@ def test_a_part_that_ends_with_an_error_fails_alone(tmp_path: Path, monkeypatch:
     def ends(folder: Path) -> list[finding.Finding]:
         raise ValueError("a table is cut")
 
-    parts = (verify.Part("one", "x", ends), verify.Part("two", "y", digits.colour))
+    parts = (verify.VerifyPart("one", "x", ends), verify.VerifyPart("two", "y", digits.colour))
     monkeypatch.setattr(verify, "PARTS", parts)
     found = verify.verify(tmp_path)
     assert [part["passed"] for part in found["parts"]] == [False, True]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_watch.serving import Shown
+from gonio_watch.serving import ServedRun
 
 from gonio.lab.acquisition import repair
 from gonio.lab.acquisition.journal import encode
@@ -67,7 +67,7 @@ def played(whole: Path, tmp_path: Path) -> Iterator[Played]:
 @contextmanager
 def served(run: Path, like: Server | None = None) -> Iterator[Server]:
     """The page of a run; at the address of an earlier one."""
-    shown = Shown(run)
+    shown = ServedRun(run)
     port, token = (0, None) if like is None else (like.port, like.token)
     with Server(shown.routes, shown.watched.log, port=port, token=token) as server, shown.watched:
         yield server
@@ -206,7 +206,7 @@ def test_seven_tabs_and_more_all_answer(page: Page, played: Played) -> None:
 
 def test_a_hidden_tab_holds_no_connection(page: Page, played: Played) -> None:
     played.go_on(3)
-    shown = Shown(played.path)
+    shown = ServedRun(played.path)
     with Server(shown.routes, shown.watched.log) as server, shown.watched:
         hidden = page.new_tab(server.address)
         taken(page, 3)

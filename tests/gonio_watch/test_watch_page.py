@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from gonio_watch.serving import Shown, page
+from gonio_watch.serving import ServedRun, page
 from gonio_watch.watching import asked
 
 from gonio.lab.acquisition.journal import encode
@@ -26,7 +26,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, Pa
         environment.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         environment.delenv("XDG_RUNTIME_DIR", raising=False)
         run = tmp_path_factory.mktemp("run")
-        made = Shown(run)
+        made = ServedRun(run)
         made.watched.shared._command = ()  # nothing is worked out here
         with Server(made.routes, made.watched.log) as server, made.watched:
             yield server, run

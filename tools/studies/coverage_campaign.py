@@ -29,7 +29,7 @@ from gonio.lab.by_hand import alignment, rig_file
 from gonio.lab.by_hand.alignment_scans import Scans
 from gonio.lab.by_hand.manual_rig import ManualRig, open_rig
 from gonio.lab.calibration import camera, lamp_scan, lamp_stability
-from gonio.lab.calibration.camera_scan import Scan
+from gonio.lab.calibration.camera_scan import CameraScan
 from gonio.lab.reduction import brdf
 from gonio.lab.rig.calibration_files import Calibration, identity, uncalibrated, with_keys, write_calibration
 from gonio.lab.rig.description import RigDescription
@@ -203,7 +203,7 @@ def calibrate_camera(campaign: Campaign, rig: Path, record: Record) -> Path:
     bench = _bench(campaign, rig)
     frames = rig.with_name("camera-frames")
     frames.mkdir()
-    scan = Scan(bench, frames, pairs=PAIRS, say=lambda text: None)
+    scan = CameraScan(bench, frames, pairs=PAIRS, say=lambda text: None)
     with bench:
         bench.put("reference")
         scan.go()

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import snake
-from gonio_sweeps.curve import Curve
+from gonio_sweeps.curve import CurveSampler
 from gonio_sweeps.online import GrowingValues
 
 from gonio import models
@@ -268,7 +268,7 @@ def _spaced(count: int, largest: float, narrow: float = 4.0) -> list[float]:
     return [float(x) for x in narrow * np.sinh(np.linspace(0.0, math.asinh(largest / narrow), count))]
 
 
-def sampler(geometry: Geometry, description: RigDescription, most_points: int | None) -> Curve:
+def sampler(geometry: Geometry, description: RigDescription, most_points: int | None) -> CurveSampler:
     """The adaptive plan: by rig time, or where a number of points is given by points."""
     keys: dict[str, object] = {
         "theta_i_deg": list(INCIDENCES[geometry]),
@@ -278,7 +278,7 @@ def sampler(geometry: Geometry, description: RigDescription, most_points: int | 
         keys["dphi_deg"] = [float(x) for x in range(15, 180, 15)]
     if most_points is not None:
         keys["most_points"] = most_points
-    return Curve(_plan([], Adaptive(how="curve", budget_h=1000.0, **keys)), description)
+    return CurveSampler(_plan([], Adaptive(how="curve", budget_h=1000.0, **keys)), description)
 
 
 def interpolated(values: GrowingValues, at: Directions) -> Floats:

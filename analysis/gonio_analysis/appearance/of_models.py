@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from gonio.models import Model
     from gonio.samples.description import SampleDescription
     from gonio_analysis.fitting.fit import FitResult
-    from gonio_analysis.fitting.level import Level
+    from gonio_analysis.fitting.level import MeasuredLevel
 
 DEFAULT_WAVELENGTH_NM = 550.0
 KNOWN_BY_PARAMETERS = "Uncertainties are those of the sample's parameters, as its file states them."
@@ -210,7 +210,7 @@ def _propagate(
     return levers
 
 
-def _at_level(numbers: _Numbers, model: Model, measured: Level, pull: Floats, wavelength_nm: float) -> None:
+def _at_level(numbers: _Numbers, model: Model, measured: MeasuredLevel, pull: Floats, wavelength_nm: float) -> None:
     """Bring numbers of a model without a level of its own to the measured level; `pull` is by their gradients' axes."""
     slopes: dict[str, float] = {}
     for theta_i, aspecular in MULTI_ANGLE:

@@ -49,7 +49,7 @@ are patterns of one run."""
 
 
 @dataclass(frozen=True)
-class Laboratory:
+class LaboratoryVerdict:
     """What a laboratory's values say of it, against all laboratories together."""
 
     name: str
@@ -82,10 +82,10 @@ class Laboratory:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class LaboratoryComparison:
     """Laboratories compared in the directions that all of them have."""
 
-    laboratories: tuple[Laboratory, ...]
+    laboratories: tuple[LaboratoryVerdict, ...]
     sides: tuple[Side, ...]
     at: Observations
     """The common directions; `brdf` is the consensus [1/sr] to which the degrees of equivalence refer."""
@@ -130,7 +130,7 @@ def compared(
     *,
     wavelength_nm: float | None = None,
     say: Say = silent,
-) -> Comparison:
+) -> LaboratoryComparison:
     """Compare laboratories.
 
     Parameters
@@ -169,7 +169,7 @@ def compared(
     )
     alone, by_method, p_alone = _by_directions(first, keys, say)
     chi_square, p = consistency(solved.scales, solved.v_scales)
-    return Comparison(
+    return LaboratoryComparison(
         laboratories=_judged(sides, solved, turned, scales, relative),
         sides=tuple(sides),
         at=replace(at, brdf=solved.shape * by),
@@ -218,13 +218,13 @@ def _settled(
 
 def _judged(
     sides: Sequence[Side], solved: CommonShape, turned: Floats, scales: Equivalence, relative: Equivalence
-) -> tuple[Laboratory, ...]:
+) -> tuple[LaboratoryVerdict, ...]:
     """What is said of each laboratory."""
     zeros, zeros_consistent = _zeros(solved, turned)
     likely = solved.p_scatter >= LEVEL / TESTS / len(sides)
     u_scales, u_zeros = (np.sqrt(np.diag(v)) for v in (solved.v_scales, solved.v_zeros))
     return tuple(
-        Laboratory(
+        LaboratoryVerdict(
             name=side.name,
             source=side.source,
             scale=float(solved.scales[k] / scales.reference.value),
@@ -381,7 +381,7 @@ def _zeros(solved: CommonShape, turned: Floats) -> tuple[Floats, Any]:
 def _by_directions(
     found: Sequence[LaboratoryValues], keys: Sequence[Sequence[Any]], say: Say
 ) -> tuple[tuple[Equivalence, ...], dict[Method, tuple[Consensus, ...]], Floats]:
-    """`Comparison.alone`, `alone_by_method` and `p_alone`: each direction for itself."""
+    """`LaboratoryComparison.alone`, `alone_by_method` and `p_alone`: each direction for itself."""
     values, pace = np.array([one.value for one in found]).T, Pace("comparing: directions", found[0].value.size, say)
     alone, by_method, p = list[Equivalence](), list[tuple[Consensus, ...]](), list[float]()
     for i, x in enumerate(values):

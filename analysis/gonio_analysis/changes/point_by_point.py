@@ -27,7 +27,7 @@ from gonio.measurement import is_simulated, of_reader
 from gonio.models.corrected import Corrected, folded
 from gonio.progress import Say, silent
 from gonio.typing import DataFrame, Floats
-from gonio_analysis.changes.resampling import Carried, Known, carry, common_wavelengths, slope_in_plane
+from gonio_analysis.changes.resampling import Carried, Interpolations, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import metrics, ratio_to, scaled_to
@@ -396,7 +396,7 @@ def _measurements(sides: list[Side], say: Say) -> Change:
     sides.clear()
     both[1], notes = laid_on(*both)
     notes += [*_unstated({a.name: both[0], b.name: both[1]}), *_cones(*both)]
-    known = Known()
+    known = Interpolations()
     back = _Found.of(carry(both[1], both[0], say, known))  # both at once would be much in memory
     carried, onto, names = carry(both[0], both[1], say, known), "A", (a.name, b.name)
     if _still(_Found.of(carried), back, len(both[0]), len(both[1])) == "B":

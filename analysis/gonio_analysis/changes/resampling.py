@@ -112,7 +112,7 @@ def common_wavelengths(a: Observations, b: Observations) -> list[tuple[float, fl
     return out
 
 
-def carry(a: Observations, b: Observations, say: Say = silent, known: Known | None = None) -> Carried:
+def carry(a: Observations, b: Observations, say: Say = silent, known: Interpolations | None = None) -> Carried:
     """B's values in the directions of A, at their common wavelengths.
 
     Parameters
@@ -124,7 +124,7 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Known | No
     known
         Interpolations of earlier calls, which those of the same directions take.
     """
-    known = Known() if known is None else known
+    known = Interpolations() if known is None else known
     n = len(a)
     k = len(b.covariance.causes) if b.covariance is not None else 0
     value, random, together, error = np.full(n, np.nan), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -207,7 +207,7 @@ def _turned(directions: Directions, by: float) -> tuple[Directions, Any]:
 
 def slope_in_plane(shape: Observations) -> Floats:
     """Change of the shape's values with the receiver's angle in the plane of incidence [1/(sr rad)]."""
-    out, rows, known = np.zeros(len(shape)), RowsAt(shape.wavelength_nm), Known()
+    out, rows, known = np.zeros(len(shape)), RowsAt(shape.wavelength_nm), Interpolations()
     for wave in shape.wavelengths:
         here = rows.at(wave)
         alone = replace(shape, covariance=None, u_angles=np.zeros(0), unused=Unused()).take(here)
@@ -344,7 +344,7 @@ class Interpolation:
         return nodes, weights, error
 
 
-class Known:
+class Interpolations:
     """Interpolations that wavelengths with the same directions share: those that were used last."""
 
     def __init__(self) -> None:

@@ -18,7 +18,7 @@ MODELS_HELP = "Models to fit, with commas between (sums as oren-nayar+phong), or
 DIVISOR_HELP = "What polar curves are divided by"
 
 
-class Norm(StrEnum):
+class NormOption(StrEnum):
     """What polar curves are divided by."""
 
     mirror = "mirror"
@@ -155,7 +155,7 @@ def compare(
     measurements: Measurements,
     out: Annotated[Path, typer.Option(help="Folder of the report.")],
     models: Annotated[str | None, typer.Option(help=f"{MODELS_HELP} Otherwise {MODELS.replace(',', ', ')}.")] = None,
-    normalise: Annotated[Norm | None, typer.Option(help=f"{DIVISOR_HELP}; otherwise mirror.")] = None,
+    normalise: Annotated[NormOption | None, typer.Option(help=f"{DIVISOR_HELP}; otherwise mirror.")] = None,
     radius: Annotated[str | None, typer.Option(metavar="auto|R", help=f"{RADIUS_HELP}. Otherwise auto.")] = None,
     ior: IorOption = None,
     wavelength_nm: Wavelength = None,
@@ -192,7 +192,7 @@ def compare(
     else:
         page = implementations.report(
             measurements, out, names_of(MODELS if models is None else models),
-            normalise=(normalise or Norm.mirror).value, radius=read_radius(radius or "auto"), ior=ior,
+            normalise=(normalise or NormOption.mirror).value, radius=read_radius(radius or "auto"), ior=ior,
             wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=energy, separate=separate,
             dask=dask, png=png, how=how,
         )  # fmt: skip
@@ -207,7 +207,7 @@ def report(
         Path | None, typer.Option("--map", metavar="MAP", help="Of a map of fits: the map of values that was fitted.")
     ] = None,
     models: Annotated[str, typer.Option(help=MODELS_HELP)] = MODELS,
-    normalise: Annotated[Norm, typer.Option(help=f"{DIVISOR_HELP}.")] = Norm.mirror,
+    normalise: Annotated[NormOption, typer.Option(help=f"{DIVISOR_HELP}.")] = NormOption.mirror,
     radius: Radius = "auto",
     ior: IorOption = None,
     wavelength_nm: Wavelength = None,

@@ -24,7 +24,7 @@ from gonio_analysis.fitting import fit as fitting
 from gonio_analysis.fitting import parameters, profile_likelihood, saving
 from gonio_analysis.fitting.energy import of_model
 from gonio_analysis.fitting.observations import Observations, check_u_rel, check_wavelength, observations, together
-from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
+from gonio_analysis.fitting.optical_constants import Constants, NamedSample, TakenConstants
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_table
@@ -155,7 +155,9 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
     """Fit one model to tables of one sample; save and print it."""
     parameters.family(asked.model, slopes=asked.slopes, ior=asked.ior)
     read = [_observed(one, asked.u_rel, how) for one in tables]
-    taken = _constants(asked, wanted.constants, [Sample(t, name) for t, (name, *_) in zip(tables, read, strict=True)])
+    taken = _constants(
+        asked, wanted.constants, [NamedSample(t, name) for t, (name, *_) in zip(tables, read, strict=True)]
+    )
     asked = replace(asked, ior=taken.values[0])
     simulated = [made for *_, made in read]
     if wanted.save is not None:
@@ -198,7 +200,7 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
         console.note(reflectances(result.name, rho_dh, given=result.given))
 
 
-def _constants(asked: FitRequest, constants: Constants, samples: list[Sample]) -> Taken:
+def _constants(asked: FitRequest, constants: Constants, samples: list[NamedSample]) -> TakenConstants:
     """The optical constants of tables of one sample; those that were remembered where nothing else is said of them.
 
     Raises
@@ -206,7 +208,7 @@ def _constants(asked: FitRequest, constants: Constants, samples: list[Sample]) -
     ConfigError
         They differ.
     """
-    taken = Taken.of(constants, samples)
+    taken = TakenConstants.of(constants, samples)
     said = {"ior", "k"} & {*asked.free, *(asked.fix or {})}
     if said or not parameters.needs_ior(asked.model):
         taken = replace(taken, remembered=[None] * len(samples))

@@ -43,7 +43,7 @@ CONES = 1.5
 
 
 @dataclass(frozen=True)
-class Lobe:
+class CurveLobe:
     """What is near the mirror direction of one curve. Uncertainties are NaN where the table states none."""
 
     parameter: float
@@ -88,7 +88,7 @@ class _Measured:
     why: str
 
 
-def lobe(curve: Curve, data: Observations) -> Lobe | None:
+def lobe(curve: Curve, data: Observations) -> CurveLobe | None:
     """The lobe of a curve of `data`; None where no value lies near the mirror direction.
 
     A maximum at an end of the curve, or one that drops on one side alone, has no width.
@@ -100,9 +100,9 @@ def lobe(curve: Curve, data: Observations) -> Lobe | None:
     found = _measure(curve.angle, curve.brdf, near, away)
     exists = found.height > RISE * found.base or (math.isnan(found.base) and not found.why)
     if not exists:
-        return Lobe(curve.parameter, found.base, found.height, exists=False, why="there is none")
+        return CurveLobe(curve.parameter, found.base, found.height, exists=False, why="there is none")
     why = found.why or _too_narrow(found.width, data)
-    out = Lobe(curve.parameter, found.base, found.height, True, why, found.width, found.at)
+    out = CurveLobe(curve.parameter, found.base, found.height, True, why, found.width, found.at)
     if data.covariance is None:
         return out
     random, common = data.covariance.random[curve.rows], data.covariance.common[curve.rows]

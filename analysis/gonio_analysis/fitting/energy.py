@@ -11,7 +11,7 @@ from gonio.shown import finite
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.forward import ByWavelength, known_wavelength, rho_angles, rho_dh
-from gonio_analysis.fitting.level import TIGHTER, Level, level
+from gonio_analysis.fitting.level import TIGHTER, MeasuredLevel, level
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.solution import LOOSE
 from gonio_analysis.result_records import Reflectance
@@ -68,7 +68,7 @@ def of_model(result: FitResult) -> list[Reflectance]:
     return [_stated(_measured(at_level, one, float(moves))) for one, moves in zip(found, along, strict=True)]
 
 
-def _measured(at_level: Level, found: tuple[float, float, float], along: float) -> Reflectance:
+def _measured(at_level: MeasuredLevel, found: tuple[float, float, float], along: float) -> Reflectance:
     """rho_dh at the measured level, with the model's own where that is sharper."""
     theta_i, value, u = found
     measured, of_measured = at_level.applied(value, u, along)

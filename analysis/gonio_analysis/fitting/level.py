@@ -25,7 +25,7 @@ TIGHTER = 1.05
 
 
 @dataclass(frozen=True)
-class Level:
+class MeasuredLevel:
     """The level of the measured values, over that of a fitted model which has none to fit."""
 
     off: float
@@ -49,7 +49,7 @@ class Level:
         return value + per * self.off, math.hypot(u, per * self.u)
 
 
-def level(result: Solution) -> Level | None:
+def level(result: Solution) -> MeasuredLevel | None:
     """How the values' level stands to a fit's; None where the model has its own, is rejected, or nothing is stated.
 
     With f the model, J its derivatives, r what the values leave (all whitened), P the covariance of the parameters and
@@ -68,4 +68,4 @@ def level(result: Solution) -> Level | None:
     left = whole - float(pull[known] @ result.spread[np.ix_(known, known)] @ pull[known])
     if left <= max(OWN * whole, MOST**-2):
         return None
-    return Level(-float(model @ result.whitened[: len(data)]) / left, 1.0 / math.sqrt(left), pull)
+    return MeasuredLevel(-float(model @ result.whitened[: len(data)]) / left, 1.0 / math.sqrt(left), pull)

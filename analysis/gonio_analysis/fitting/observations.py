@@ -49,7 +49,7 @@ LARGEST = 1e30
 
 
 @dataclass(frozen=True)
-class Part:
+class FittedTable:
     """One of several tables that are fitted together."""
 
     name: str
@@ -103,7 +103,7 @@ class Observations:
     """Where those rows lie; without those whose angles are not finite, which are nowhere."""
     notes: tuple[str, ...] = ()
     """Sentences for a person about what was assumed."""
-    parts: tuple[Part, ...] = ()
+    parts: tuple[FittedTable, ...] = ()
     """The tables that are fitted together; none where there is one."""
     part: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     """Which of `parts` each value is from; empty where there is one table."""
@@ -162,7 +162,7 @@ class Observations:
         from gonio.instrument import LOBE_TOLERANCE, Cones
 
         out = []
-        own = Part("", self.source_solid_angle_sr, self.receiver_solid_angle_sr)
+        own = FittedTable("", self.source_solid_angle_sr, self.receiver_solid_angle_sr)
         for number, part in enumerate(self.parts or (own,)):
             of_part = self.part == number if self.parts else np.ones(len(self), dtype=bool)
             for wave in self.wavelengths:
@@ -440,7 +440,7 @@ def together(several: Mapping[str, Observations]) -> Observations:
         },
         notes=tuple(said_once({name: one.notes for name, one in several.items()})),
         parts=tuple(
-            Part(name, one.source_solid_angle_sr, one.receiver_solid_angle_sr) for name, one in several.items()
+            FittedTable(name, one.source_solid_angle_sr, one.receiver_solid_angle_sr) for name, one in several.items()
         ),
         part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
         u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),

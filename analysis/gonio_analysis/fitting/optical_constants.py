@@ -48,7 +48,7 @@ def read_ior(text: str | None) -> Ior:
 
 
 @dataclass(frozen=True)
-class Sample:
+class NamedSample:
     """A sample that a command is about."""
 
     source: str
@@ -118,7 +118,7 @@ class Constants:
             )
         return self.of_all
 
-    def given(self, samples: Sequence[Sample]) -> list[str | None]:
+    def given(self, samples: Sequence[NamedSample]) -> list[str | None]:
         """What is said of each sample; None where nothing is.
 
         Raises
@@ -135,17 +135,17 @@ class Constants:
 
 
 @dataclass(frozen=True)
-class Taken:
+class TakenConstants:
     """The constants of samples, in their order."""
 
-    samples: list[Sample]
+    samples: list[NamedSample]
     given: list[str | None]
     """What --ior says of each."""
     remembered: list[str | None]
     """What is taken from beside the file, where --ior says nothing."""
 
     @classmethod
-    def of(cls, constants: Constants, samples: Sequence[Sample]) -> Taken:
+    def of(cls, constants: Constants, samples: Sequence[NamedSample]) -> TakenConstants:
         """What --ior says of samples, and what their files remember.
 
         Raises
@@ -195,7 +195,7 @@ def _stored(file: Path) -> dict[str, str]:
     return named
 
 
-def _remembered(one: Sample) -> str | None:
+def _remembered(one: NamedSample) -> str | None:
     stored = _stored(one.beside)
     text = stored.get(one.key, stored.get(one.name, stored.get(EVERY)))
     if text is not None:
@@ -206,7 +206,7 @@ def _remembered(one: Sample) -> str | None:
     return text
 
 
-def _remember(one: Sample, text: str) -> str:
+def _remember(one: NamedSample, text: str) -> str:
     """What was done, in a sentence; "" where nothing was."""
     import tomli_w
 

@@ -16,7 +16,7 @@ from gonio.run_facts import RunFacts
 from gonio.run_facts import of as run_facts
 from gonio.typing import DataFrame
 from gonio_analysis.curves.in_plane import Normalise
-from gonio_analysis.fitting.optical_constants import Constants, Sample, Taken
+from gonio_analysis.fitting.optical_constants import Constants, NamedSample, TakenConstants
 from gonio_analysis.report import (
     across_plot,
     beyond_reflection,
@@ -174,10 +174,10 @@ def _transmission_only(
 
 def _optical_constants(
     ior: Ior | Constants, found: Sequence[Measured], progress: Callable[[str], None]
-) -> tuple[Taken, list[Ior]]:
+) -> tuple[TakenConstants, list[Ior]]:
     """Optical constants of each sample, and what is to be remembered of them beside the files."""
     constants = ior if isinstance(ior, Constants) else Constants()
-    taken = Taken.of(constants, [Sample(source, sample) for sample, source, *_ in found])
+    taken = TakenConstants.of(constants, [NamedSample(source, sample) for sample, source, *_ in found])
     if not isinstance(ior, Constants):
         taken = replace(taken, remembered=[None] * len(found))
     for note in taken.notes:
@@ -248,7 +248,7 @@ def write(
         groups.append(_kept("figures", t.name, partial(beyond_reflection.draw, t, (), slug)))
     if len(datasets) > 1:
         groups.append(_kept("figures", "all samples", partial(across_plot.draw, datasets)))
-    views, listed = list[viewer.View | None](), list[str]()
+    views, listed = list[viewer.ViewerData | None](), list[str]()
 
     def views_and_tables() -> None:
         views.extend(_views(datasets, summary))
@@ -265,9 +265,9 @@ def write(
     return summary
 
 
-def _views(datasets: Sequence[Dataset], summary: Summary) -> list[viewer.View | None]:
+def _views(datasets: Sequence[Dataset], summary: Summary) -> list[viewer.ViewerData | None]:
     """What the interactive plot of each sample shows; None where it has no curves."""
-    room, views = viewer.BYTES // max(len(datasets), 1), list[viewer.View | None]()
+    room, views = viewer.BYTES // max(len(datasets), 1), list[viewer.ViewerData | None]()
     for d, facts in zip(datasets, summary.datasets, strict=True):
         view = partial(viewer.viewer, d, facts, summary.normalise, room)
         views.append(lost.kept(f"the interactive plot of {d.name}", view, lambda loss: None) if d.curves else None)
@@ -278,7 +278,7 @@ def _pages(
     datasets: Sequence[Dataset],
     summary: Summary,
     drawn: Sequence[Sequence[Figure]],
-    views: Sequence[viewer.View | None],
+    views: Sequence[viewer.ViewerData | None],
 ) -> dict[str, Page]:
     """The pages by the name of their file: of several samples with a plot of all of them."""
     alone = len(datasets) + len(summary.transmission_only)

@@ -24,7 +24,7 @@ from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.curves.lobes import GRAZING, NEAR_SOURCE
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.value_covariance import Covariance
-from gonio_analysis.report.lobe_pairs import MOST_CURVES, Found, LobePair, Lobes, stands
+from gonio_analysis.report.lobe_pairs import MOST_CURVES, LobeDifference, LobePair, Lobes, stands
 
 MOST_PAIRS = 8
 """Samples that the first one is held against."""
@@ -55,7 +55,7 @@ ALL, AWAY, SOURCE, MIRROR, GRAZE = "all", "away", "source", "mirror", "grazing"
 
 
 @dataclass(frozen=True)
-class Level:
+class SampleFactor:
     """A factor, B over A, of some of the directions or of a wavelength."""
 
     where: str
@@ -76,7 +76,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Pair:
+class SamplePair:
     """One sample, B, held against the first, A."""
 
     a: str
@@ -99,28 +99,28 @@ class Pair:
     """Relative standard deviation of the differences beyond what is stated."""
     detectable: float = math.nan
     """A common factor that would be found in 9 of 10 cases, less 1."""
-    common: Level | None = None
+    common: SampleFactor | None = None
     """The common factor: of all directions, or of those away from the lobe and from what stands apart."""
     everywhere: bool = False
     """Whether it holds at all angles that were measured."""
-    levels: list[Level] = field(default_factory=list)
-    incidences: list[Level] = field(default_factory=list)
-    colour: list[Level] = field(default_factory=list)
+    levels: list[SampleFactor] = field(default_factory=list)
+    incidences: list[SampleFactor] = field(default_factory=list)
+    colour: list[SampleFactor] = field(default_factory=list)
     """By wavelength, where there are several."""
     lobes: list[LobePair] = field(default_factory=list)
     lobe_of: list[str] = field(default_factory=list)
     """Which of the two have a lobe."""
     unresolved: str = ""
     """Why the lobes' widths are not compared, in words."""
-    width_deg: Found | None = None
+    width_deg: LobeDifference | None = None
     """Full width at half height."""
-    height: Found | None = None
+    height: LobeDifference | None = None
     """ln of the ratio of the largest values near the mirror direction."""
     conserved: bool = False
     """Whether a wider lobe is lower by what its width asks for."""
-    shift_deg: Found | None = None
+    shift_deg: LobeDifference | None = None
     """Of the maximum; positive away from the normal."""
-    zero_deg: Found | None = None
+    zero_deg: LobeDifference | None = None
     """By how much B's angle reads larger, as `--change` finds it."""
     kinds: list[float] = field(default_factory=list)
     """Contrasts of both, where they are of different kinds; else empty."""
@@ -133,7 +133,7 @@ class Pair:
 class Across:
     """What is said of several samples without models."""
 
-    pairs: list[Pair]
+    pairs: list[SamplePair]
     left_out: int = 0
     """Samples that were not compared: `MOST_PAIRS` are."""
 
@@ -154,21 +154,21 @@ def across(sides: Sequence[Side], *, wavelength_nm: float | None = None, say: Sa
     return Across([_pair(first, b, wavelength_nm, say) for b in others], len(sides) - 1 - len(others))
 
 
-def _pair(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> Pair:
+def _pair(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> SamplePair:
     both = a.measured, b.measured
     if why := _nothing_common(a, b):
-        return Pair(a.title, b.title, missing=why)
+        return SamplePair(a.title, b.title, missing=why)
     alone = wavelength_nm or 550.0 if len(both[0]) + len(both[1]) > MOST_VALUES else None
     try:
         c = change(a, b, wavelength_nm=alone, say=say)
     except DataError as error:
-        return Pair(a.title, b.title, missing=str(error))
+        return SamplePair(a.title, b.title, missing=str(error))
     shown = c.at.nearest(wavelength_nm)[1]
     here = narrowed(c, RowsAt(c.at.wavelength_nm).at(shown))
     lobes = Lobes.of(*(_nearest(x, shown) for x in (both[0], laid_on(*both)[0])))
     verdict = c.verdict
     assumed = {x.u_rel_assumed for x in both if x.u_rel_assumed is not None}
-    out = Pair(
+    out = SamplePair(
         a.title, b.title, values=len(c.at), interpolated=int(np.count_nonzero(c.error)), wavelength_nm=shown,
         beyond=None if verdict is None else verdict.changed and not c.identical,
         found_by=[] if verdict is None else verdict.found_by,
@@ -217,7 +217,7 @@ def _nearest(data: Observations, shown: float) -> Observations:
     return data if math.isnan(shown) else data.nearest(shown)[0]
 
 
-def _shapes(out: Pair, c: Change, lobes: Lobes) -> Pair:
+def _shapes(out: SamplePair, c: Change, lobes: Lobes) -> SamplePair:
     """A pair with what both differ by at one wavelength."""
     exist, one_alone = lobes.exist, sum(lobes.exist) == 1
     shift = lobes.found("at", math.radians(LEAST_SHIFT_DEG))
@@ -228,14 +228,14 @@ def _shapes(out: Pair, c: Change, lobes: Lobes) -> Pair:
     if one_alone or lobes.differences("height")[0].size:
         regions.pop(MIRROR, None)
     levels = _levels(c, regions, [c.zeros[angle] for angle in zeros])
-    unknown = Level(MIRROR, 0, 1.0, math.nan, math.nan)
+    unknown = SampleFactor(MIRROR, 0, 1.0, math.nan, math.nan)
     common = max(levels, key=lambda one: (one.where == AWAY, one.values), default=unknown)
     levels = [replace(one, apart=_apart(one, common)) for one in levels]
     known = common.log, 0.0 if math.isnan(common.u) else common.u / common.factor
     height, width = lobes.found("height", LEAST_HEIGHT, known), lobes.found("width", LEAST_WIDTH * lobes.widest)
     if not levels and height is not None:
         ratio = math.exp(height.value)
-        common = Level(MIRROR, len(lobes.pairs), ratio, ratio * height.u, ratio * height.u)
+        common = SampleFactor(MIRROR, len(lobes.pairs), ratio, ratio * height.u, ratio * height.u)
     elif not levels:
         if not (few := _levels(c, {ALL: np.arange(len(c.at))}, fewest=1)):
             return replace(out, missing="their common values are lost in noise")
@@ -253,19 +253,19 @@ def _shapes(out: Pair, c: Change, lobes: Lobes) -> Pair:
         lobe_of=[name for name, there in zip((out.a, out.b), exist, strict=True) if there],
         unresolved=why if any(exist) and width is None else "",
         height=height, width_deg=_in_degrees(width), shift_deg=_in_degrees(shift),
-        zero_deg=next((Found(math.degrees(x.value), math.degrees(x.u), True) for x in zeros.values()), None),
+        zero_deg=next((LobeDifference(math.degrees(x.value), math.degrees(x.u), True) for x in zeros.values()), None),
     )  # fmt: skip
 
 
-def _in_degrees(x: Found | None) -> Found | None:
-    return None if x is None else Found(math.degrees(x.value), math.degrees(x.u), x.stands)
+def _in_degrees(x: LobeDifference | None) -> LobeDifference | None:
+    return None if x is None else LobeDifference(math.degrees(x.value), math.degrees(x.u), x.stands)
 
 
-def _whole(c: Change, common: Level) -> Level:
+def _whole(c: Change, common: SampleFactor) -> SampleFactor:
     """The common factor of all values, as `--change` has it."""
     v = c.verdict
     if v is not None and v.u_scale < BRIGHT and 1.0 / BRIGHT < 1.0 + v.scale < BRIGHT:
-        return Level(ALL, len(c.at), 1.0 + v.scale, v.u_scale, v.u_scale)
+        return SampleFactor(ALL, len(c.at), 1.0 + v.scale, v.u_scale, v.u_scale)
     return common
 
 
@@ -298,7 +298,9 @@ def _by_incidence(at: Observations, rows: Ints) -> dict[str, Ints]:
     return {f"θi = {float(np.median(tilts[g])):g}°": g for g in chosen}
 
 
-def _levels(c: Change, regions: Mapping[str, Ints], beside: Sequence[Floats] = (), fewest: int = FEWEST) -> list[Level]:
+def _levels(
+    c: Change, regions: Mapping[str, Ints], beside: Sequence[Floats] = (), fewest: int = FEWEST
+) -> list[SampleFactor]:
     """A factor for each group of rows, by one generalised least-squares fit of ln(B/A); columns beside are free too.
 
     Values that are lost in their noise have no logarithm, and groups with few others no factor. Where values of a group
@@ -332,11 +334,11 @@ def _levels(c: Change, regions: Mapping[str, Ints], beside: Sequence[Floats] = (
         noise = math.sqrt(float(inverse[k, k]))
         u = math.sqrt(excess / n + (0.0 if c.covariance is None else float(inverse[k, k])))
         factor = math.exp(float(np.clip(found[k], -30.0, 30.0)))
-        out.append(Level(name, n, factor, factor * u, factor * (u if c.covariance is None else noise)))
+        out.append(SampleFactor(name, n, factor, factor * u, factor * (u if c.covariance is None else noise)))
     return out
 
 
-def _apart(one: Level, common: Level) -> bool:
+def _apart(one: SampleFactor, common: SampleFactor) -> bool:
     """Whether the factor of a region differs from the common one. Causes that both share make this cautious."""
     if one is common:
         return False
@@ -344,7 +346,7 @@ def _apart(one: Level, common: Level) -> bool:
     return stands(one.log - common.log, u, max(LEAST, SHARE * abs(common.log)))
 
 
-def _apart_each(levels: Sequence[Level]) -> list[Level]:
+def _apart_each(levels: Sequence[SampleFactor]) -> list[SampleFactor]:
     """Factors of which some differ from their middle one."""
     if len(levels) < 2:
         return list(levels)
@@ -352,7 +354,7 @@ def _apart_each(levels: Sequence[Level]) -> list[Level]:
     return [replace(one, apart=_apart(one, middle)) for one in levels]
 
 
-def _holds_as_much(lobes: Lobes, common: Level) -> bool:
+def _holds_as_much(lobes: Lobes, common: SampleFactor) -> bool:
     """Whether height times width squared, above what stands beside, is in the common factor."""
     ratios = [
         math.log((y.height - y.base) / (x.height - x.base)) + 2.0 * math.log(y.width / x.width)
@@ -362,7 +364,7 @@ def _holds_as_much(lobes: Lobes, common: Level) -> bool:
     return bool(ratios) and abs(float(np.mean(ratios)) - common.log) <= AS_MUCH
 
 
-def _colour(c: Change) -> list[Level]:
+def _colour(c: Change) -> list[SampleFactor]:
     """The factor at each wavelength, of at most `MOST_CURVES`."""
     rows = RowsAt(c.at.wavelength_nm)
     known = [w for w in c.at.wavelengths if not math.isnan(w)]
@@ -371,7 +373,7 @@ def _colour(c: Change) -> list[Level]:
     return _apart_each(_levels(c, regions))
 
 
-def _kinds(out: Pair, lobes: Lobes) -> Pair:
+def _kinds(out: SamplePair, lobes: Lobes) -> SamplePair:
     """A pair that is told as of different kinds where a factor and a width say nothing of both."""
     if out.missing or not lobes.pairs or not any(lobes.exist):
         return out

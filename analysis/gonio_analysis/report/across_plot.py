@@ -37,7 +37,7 @@ Together = list[tuple[str, Curve]]
 """The curves of one incidence, by the samples' names."""
 
 
-def view(datasets: Sequence[Dataset], room: int = viewer.BYTES) -> viewer.View | None:
+def view(datasets: Sequence[Dataset], room: int = viewer.BYTES) -> viewer.ViewerData | None:
     """What the interactive plot shows: at each incidence the values of all samples; None where there is no curve.
 
     Parameters

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from gonio.shown import number, with_u
 from gonio_analysis.curves.lobes import GRAZING, RISE
-from gonio_analysis.report.across import ALL, AWAY, GRAZE, MIRROR, SOURCE, Across, Level, Pair
-from gonio_analysis.report.lobe_pairs import Found
+from gonio_analysis.report.across import ALL, AWAY, GRAZE, MIRROR, SOURCE, Across, SampleFactor, SamplePair
+from gonio_analysis.report.lobe_pairs import LobeDifference
 
 ALIKE = 0.005
 """A factor within so much of 1 is said as "as bright as"."""
@@ -53,7 +53,7 @@ def details(found: Across) -> list[str]:
     return out
 
 
-def _difference(p: Pair) -> str:
+def _difference(p: SamplePair) -> str:
     """The difference as a clause, without its significance."""
     if p.missing or p.common is None:
         return f"{p.a} and {p.b} cannot be compared: {p.missing}"
@@ -80,7 +80,7 @@ def _difference(p: Pair) -> str:
     return at + _joined(parts)
 
 
-def _level(p: Pair, apart: Sequence[Level]) -> str:
+def _level(p: SamplePair, apart: Sequence[SampleFactor]) -> str:
     """The common factor, and where it holds."""
     assert p.common is not None
     if p.values < FEW:
@@ -94,16 +94,16 @@ def _level(p: Pair, apart: Sequence[Level]) -> str:
     return f"{p.b} is {_against_one(p.common, p.a)} {where}"
 
 
-def _against_one(one: Level, than: str = "") -> str:
+def _against_one(one: SampleFactor, than: str = "") -> str:
     """A factor in words, where it is one."""
     return brighter(one.factor if _stands(one) else 1.0, than)
 
 
-def _stands(one: Level) -> bool:
+def _stands(one: SampleFactor) -> bool:
     return math.isnan(one.u) or abs(one.factor - 1.0) > 2.0 * one.u
 
 
-def _of_lobe(p: Pair) -> list[str]:
+def _of_lobe(p: SamplePair) -> list[str]:
     """What is said of the lobe."""
     if len(p.lobe_of) == 1:
         with_lobe = p.lobe_of[0]
@@ -143,7 +143,7 @@ def _plain(factor: float) -> str:
     return f"{number(100 * abs(factor - 1.0), 2)} % {'brighter' if factor > 1.0 else 'darker'}"
 
 
-def _degrees(x: Found) -> str:
+def _degrees(x: LobeDifference) -> str:
     """A difference of angles, to a digit that its uncertainty leaves."""
     digits = 2 if abs(x.value) < 10 else 3
     return f"{number(abs(x.value), digits)}°"
@@ -163,7 +163,7 @@ def _joined(parts: Sequence[str]) -> str:
     return f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def _significance(p: Pair) -> str:
+def _significance(p: SamplePair) -> str:
     """The end of the sentence: whether that is beyond the uncertainties."""
     if p.missing:
         return ""
@@ -179,7 +179,7 @@ def _significance(p: Pair) -> str:
     return f"{assumed}{few}{seen}"
 
 
-def _of_colour(p: Pair) -> list[str]:
+def _of_colour(p: SamplePair) -> list[str]:
     """How the factor goes with the wavelength, where it does."""
     if not any(one.apart for one in p.colour):
         return []
@@ -190,11 +190,11 @@ def _of_colour(p: Pair) -> list[str]:
     return [f"Over the wavelengths {p.b} goes from {ends}{more}."]
 
 
-def _said_level(one: Level) -> str:
+def _said_level(one: SampleFactor) -> str:
     return "as bright" if abs(one.log) < ALIKE else _plain(one.factor)
 
 
-def _details(p: Pair) -> list[str]:
+def _details(p: SamplePair) -> list[str]:
     if p.missing or p.common is None:
         return []
     both = f"{p.b} over {p.a}"
@@ -230,7 +230,7 @@ def _details(p: Pair) -> list[str]:
     return out
 
 
-def _factors(levels: Sequence[Level]) -> str:
+def _factors(levels: Sequence[SampleFactor]) -> str:
     named = WHERE | {AWAY: "away from the lobe", ALL: "over all values"}
     once = {named.get(one.where, f"at {one.where}"): one for one in levels}
     return ", ".join(f"{_with_u(one.factor, one.u)} {where}" for where, one in once.items())
@@ -240,7 +240,7 @@ def _with_u(value: float, u: float) -> str:
     return number(value, 3) if math.isnan(u) else with_u(value, u)
 
 
-def _with(x: Found) -> str:
+def _with(x: LobeDifference) -> str:
     return _with_u(x.value, x.u)
 
 

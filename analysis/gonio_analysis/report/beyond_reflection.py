@@ -23,7 +23,7 @@ from gonio_analysis.report.figures import LEGEND_ROW_IN, legend
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import angle, number, reasons, with_u
 from gonio_analysis.result_records import Reflectance
-from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted
+from gonio_analysis.selection.beyond_reflection import MuellerFacts, Transmitted
 
 
 def grid(axes: Any, lines: Mapping[str, Sequence[Line]]) -> list[Any]:
@@ -75,7 +75,7 @@ def _reach(lines: Mapping[str, Sequence[Line]]) -> float:
     return next((step for step in (0.1, 0.2, 0.5) if top <= step), 1.08)
 
 
-def draw_mueller(p: Polarisation, name: str, slug: str) -> list[Drawing]:
+def draw_mueller(p: MuellerFacts, name: str, slug: str) -> list[Drawing]:
     """The elements over the angle, where there are in-plane curves."""
     if not any(p.lines.values()):
         return []
@@ -85,7 +85,7 @@ def draw_mueller(p: Polarisation, name: str, slug: str) -> list[Drawing]:
     return [Drawing(f"{slug}-mueller", "mueller", "", caption, alt, (6.4, 6.0), partial(_on_grid, lines=p.lines))]
 
 
-def mueller_section(m: Polarisation, figures: Sequence[Figure]) -> list[Block]:
+def mueller_section(m: MuellerFacts, figures: Sequence[Figure]) -> list[Block]:
     """The elements in numbers, and the figures."""
     words = (
         f"{m.points} values have a Mueller matrix. Its elements are divided by the first one, on s and p of docs/"

@@ -14,7 +14,7 @@ from gonio.lost import Loss, so_far
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.terms import MEANINGS
 from gonio_analysis.report.text import cause, cut, glued, meaning
-from gonio_analysis.report.viewer import View
+from gonio_analysis.report.viewer import ViewerData
 
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 MOST_ROWS = 300
@@ -191,7 +191,7 @@ class Viewer(Block):
     """The interactive plot, hidden until the page's program fills it; not printed."""
 
     slug: str
-    view: View = field(repr=False)
+    view: ViewerData = field(repr=False)
 
 
 @dataclass(frozen=True)

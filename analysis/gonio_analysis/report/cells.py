@@ -25,7 +25,7 @@ from gonio_analysis.report import html, model_tables
 from gonio_analysis.report.blocks import Block, lead
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import as_svg
-from gonio_analysis.selection.compare import Dataset, Drawn, theory_angles
+from gonio_analysis.selection.compare import Dataset, DrawnCurve, theory_angles
 
 INCHES = (9.4, 3.5)
 RADIUS = {"mirror": "BRDF / BRDF in the mirror direction", "max": "BRDF / its maximum", "model": "BRDF / model's"}
@@ -74,7 +74,7 @@ class ShownComparison(Dataset):
         drawn = self._drawn(model)
         return plotted(ax, drawn, semilog=semilog, normalise=drawn[0].norm.kind if drawn else "mirror")
 
-    def _drawn(self, model: str = "") -> list[Drawn]:
+    def _drawn(self, model: str = "") -> list[DrawnCurve]:
         best = self.choice.best
         name = model or (best.candidate.label if best is not None else "")
         return self.fitted[name].drawn if name in self.fitted else []
@@ -96,7 +96,7 @@ def shown_comparison(found: Dataset) -> ShownComparison:
     return ShownComparison(**{f.name: getattr(found, f.name) for f in fields(found)})
 
 
-def of_data(data: Observations, model: Any, wavelength_nm: float, normalise: Normalise) -> list[Drawn]:
+def of_data(data: Observations, model: Any, wavelength_nm: float, normalise: Normalise) -> list[DrawnCurve]:
     """The curves of values of one wavelength, with a model's as the instrument would see it; none for no curve."""
     drawn_curves = selection(curves(data))
     alone, out = at_wavelength(model, wavelength_nm), []
@@ -106,7 +106,7 @@ def of_data(data: Observations, model: Any, wavelength_nm: float, normalise: Nor
             angle = theory_angles(curve, data)
             theory = curve.theory(alone, angle, data)
         by = norm(curve, normalise, Lambert(1.0) if alone is None else alone, data)
-        out.append(Drawn(curve, by, label, angle, theory, np.full(curve.angle.size, np.nan)))
+        out.append(DrawnCurve(curve, by, label, angle, theory, np.full(curve.angle.size, np.nan)))
     return out
 
 
@@ -120,19 +120,19 @@ def at_wavelength(model: Any, wavelength_nm: float) -> Model | None:
     return one
 
 
-def on_half_disc(ax: Any, drawn: Sequence[Drawn], normalise: str) -> list[Any]:
+def on_half_disc(ax: Any, drawn: Sequence[DrawnCurve], normalise: str) -> list[Any]:
     """Normalised curves."""
     return in_plane.polar(ax, [d.normalised() for d in drawn], radius_label=RADIUS[normalise])
 
 
-def on_logarithm(ax: Any, drawn: Sequence[Drawn]) -> list[Any]:
+def on_logarithm(ax: Any, drawn: Sequence[DrawnCurve]) -> list[Any]:
     """Absolute curves [1/sr]."""
     artists = in_plane.semilog(ax, [d.absolute() for d in drawn])
     ax.set_xlabel(ALONG.format("θr" if drawn[0].curve.scanned == "theta_r" else "θi"))
     return artists
 
 
-def plotted(ax: Any, drawn: Sequence[Drawn], *, semilog: bool, normalise: str) -> Any:
+def plotted(ax: Any, drawn: Sequence[DrawnCurve], *, semilog: bool, normalise: str) -> Any:
     """See `ShownFit.plot`."""
     if not drawn:
         raise DataError("no two values lie on one curve in the plane of incidence")
@@ -147,7 +147,7 @@ def plotted(ax: Any, drawn: Sequence[Drawn], *, semilog: bool, normalise: str) -
     return ax
 
 
-def _picture(drawn: Sequence[Drawn], name: str) -> str:
+def _picture(drawn: Sequence[DrawnCurve], name: str) -> str:
     """Both plots side by side as SVG, with the curves' labels; nothing where there is no curve."""
     if not drawn:
         return ""
@@ -156,7 +156,7 @@ def _picture(drawn: Sequence[Drawn], name: str) -> str:
     return f'<div style="max-width: 940px">{html.labelled(svg, words)}</div>'
 
 
-def _on_both(figure: Any, *, drawn: list[Drawn]) -> None:
+def _on_both(figure: Any, *, drawn: list[DrawnCurve]) -> None:
     on_half_disc(figure.add_axes((0.0, 0.14, 0.5, 0.84)), drawn, drawn[0].norm.kind)
     on_logarithm(figure.add_axes((0.6, 0.24, 0.39, 0.73)), drawn)
     _key(figure, [d.label for d in drawn])

@@ -208,7 +208,7 @@ def _columns(c: Change) -> Iterator[list[Any]]:
         yield [c.at.wavelength_nm[some], *angles, a, b, error, b - a, u, z, marked]
 
 
-def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], shown: float) -> viewer.View:
+def _view(c: Change, at: Observations, listed: list[Curve], drawn: list[Curve], shown: float) -> viewer.ViewerData:
     """Both sides as an interactive plot."""
     names = labels(listed)
     keep = {int(k.rows[0]) for k in drawn}

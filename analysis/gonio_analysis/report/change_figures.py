@@ -13,7 +13,7 @@ import numpy as np
 
 from gonio.geometry import Directions, groups
 from gonio.typing import Floats, Ints
-from gonio_analysis.changes.laboratories import Comparison, Laboratory
+from gonio_analysis.changes.laboratories import LaboratoryComparison, LaboratoryVerdict
 from gonio_analysis.changes.point_by_point import Change
 from gonio_analysis.changes.verdict import LEVEL
 from gonio_analysis.curves.in_plane import Curve, Line, curves, evenly, labels
@@ -199,7 +199,7 @@ LABORATORIES_IN = 6.4
 """Width of their polar plot."""
 
 
-def draw_laboratories(c: Comparison) -> list[Drawing]:
+def draw_laboratories(c: LaboratoryComparison) -> list[Drawing]:
     """Every figure."""
     out = [_overview(c)]
     at, shown = c.at.nearest(None)
@@ -212,7 +212,7 @@ def draw_laboratories(c: Comparison) -> list[Drawing]:
     return out + _maps(c, at, where)
 
 
-def _overview(c: Comparison) -> Drawing:
+def _overview(c: LaboratoryComparison) -> Drawing:
     caption = (
         "Overview: degrees of equivalence of scales with their expanded uncertainties (k = 2), zeros of the angle with"
         " theirs, and scatter over what is stated. Red diamonds: not consistent with the others."
@@ -221,7 +221,7 @@ def _overview(c: Comparison) -> Drawing:
     return Drawing("overview", "overview", "", caption, caption, (7.0, high), partial(_on_overview, who=c.laboratories))
 
 
-def _on_overview(figure: Any, *, who: Sequence[Laboratory]) -> None:
+def _on_overview(figure: Any, *, who: Sequence[LaboratoryVerdict]) -> None:
     axes = figure.subplots(1, 3, sharey=True)
     high = figure.get_figheight()
     figure.subplots_adjust(0.16, 0.52 / high, 0.985, 1.0 - 0.12 / high, wspace=0.16)
@@ -250,7 +250,7 @@ def _on_overview(figure: Any, *, who: Sequence[Laboratory]) -> None:
     axes[0].set_ylim(-0.6, len(who) - 0.4)
 
 
-def _polar(c: Comparison, at: Observations, curve: Curve, where: str) -> Drawing:
+def _polar(c: LaboratoryComparison, at: Observations, curve: Curve, where: str) -> Drawing:
     rows, none = at.rows[curve.rows], np.empty(0)
     lines = [
         Line(x.name, curve.angle, values[rows], none, none, u[rows])
@@ -283,7 +283,7 @@ def _on_polar(figure: Any, *, lines: list[Line], rim: float) -> None:
     key(figure, in_plane.handles(lines), beside)
 
 
-def _deviations(c: Comparison, at: Observations, along: Sequence[Curve], where: str) -> Drawing:
+def _deviations(c: LaboratoryComparison, at: Observations, along: Sequence[Curve], where: str) -> Drawing:
     every = np.concatenate([at.rows[curve.rows] for curve in along])
     kept = evenly(every.size, MOST_DRAWN // 2)
     angle, rows = np.concatenate([curve.angle for curve in along])[kept], every[kept]
@@ -322,7 +322,7 @@ def _on_deviations(figure: Any, *, parts: Sequence[tuple[str, Floats, Floats, Fl
     axes[-1][0].set_xlabel("θr")
 
 
-def _youden(c: Comparison) -> Drawing:
+def _youden(c: LaboratoryComparison) -> Drawing:
     """A Youden plot of two halves of the directions instead of two samples."""
     far = c.at.directions.mirror_offset
     near = far <= np.median(far)
@@ -354,7 +354,7 @@ def _on_youden(figure: Any, *, points: Sequence[tuple[float, float, str, bool]])
     in_plane.clean(ax)
 
 
-def _maps(c: Comparison, at: Observations, where: str) -> list[Drawing]:
+def _maps(c: LaboratoryComparison, at: Observations, where: str) -> list[Drawing]:
     """E_n over the directions of those laboratories that are farthest off."""
     score = np.array([x.e_n for x in c.alone])
     farthest = sorted(range(len(c.laboratories)), key=lambda k: -float(np.mean(score[:, k] ** 2)))[:MOST_MAPS]

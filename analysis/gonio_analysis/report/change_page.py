@@ -62,7 +62,7 @@ def page(
     runs: Sequence[RunFacts | None],
     waves: Waves,
     figures: Sequence[Figure],
-    view: viewer.View | None,
+    view: viewer.ViewerData | None,
 ) -> Page:
     """The page, of at most `MOST_BYTES`."""
     first = {"values"} if view is not None else {f.name for f in figures[:1]}

@@ -19,9 +19,9 @@ from gonio_analysis.result_records import (
     Reflectance,
 )
 from gonio_analysis.selection.across_models import AcrossModels
-from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted
-from gonio_analysis.selection.choice import Choice
-from gonio_analysis.selection.compare import Fitted
+from gonio_analysis.selection.beyond_reflection import MuellerFacts, Transmitted
+from gonio_analysis.selection.choice import ModelChoice
+from gonio_analysis.selection.compare import FittedModel
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class DatasetSummary:
     provenance: Any
     """As the table has it, whoever wrote it."""
     run: RunFacts | None
-    models: dict[str, Fitted]
+    models: dict[str, FittedModel]
     skipped: dict[str, str]
-    choice: Choice
+    choice: ModelChoice
     values: list[MeasuredValue]
     usable_everywhere: int
     best: str | None
@@ -76,7 +76,7 @@ class DatasetSummary:
     rho_dh: list[Reflectance]
     """Directional-hemispherical reflectances of the measurement itself."""
     rho_dh_near: dict[str, list[Reflectance]]
-    """rho_dh of each model that cannot be told from the nearest (`Choice.near`), whether `models` has it or not."""
+    """rho_dh of each model that cannot be told from the nearest (`ModelChoice.near`), also where `models` lacks it."""
     rho_dh_combined: list[Reflectance]
     """rho_dh of these models together; empty where one is true."""
     symmetries: list[Pairs]
@@ -86,7 +86,7 @@ class DatasetSummary:
     """None where a table is too large for a quick look."""
     transmission: Transmitted | None = None
     """None where the table holds reflection alone."""
-    mueller: Polarisation | None = None
+    mueller: MuellerFacts | None = None
     simulated: bool = False
     """Whether a simulation made the values."""
     checks: ChecksSummary | None = None

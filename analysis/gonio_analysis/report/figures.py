@@ -15,7 +15,7 @@ from gonio_analysis.plots import diagnostics, in_plane, style, thinning
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import cause, model_slugs, number, percent
-from gonio_analysis.selection.compare import Dataset, Fitted
+from gonio_analysis.selection.compare import Dataset, FittedModel
 
 PANEL_PT = 335.0
 """Width of a panel over the angle."""
@@ -82,7 +82,7 @@ def coinciding(d: Dataset) -> list[list[str]]:
     return groups
 
 
-def _coincide(a: Fitted, b: Fitted) -> bool:
+def _coincide(a: FittedModel, b: FittedModel) -> bool:
     if a.fit.goal.whitened and not np.allclose(a.fit.whitened, b.fit.whitened, rtol=0.0, atol=SAME_RESIDUAL):
         return False
     pairs = [(a.fit.predicted, b.fit.predicted)]
@@ -147,7 +147,7 @@ def _on_half_disc(figure: Any, *, lines: list[Line], rim: float, label: str, leg
     legend.draw(figure)
 
 
-def _norm_words(f: Fitted) -> str:
+def _norm_words(f: FittedModel) -> str:
     kinds = {c.norm.kind for c in f.drawn}
     if len(kinds) == 1:
         return NORMS[kinds.pop()]
@@ -156,7 +156,7 @@ def _norm_words(f: Fitted) -> str:
     return f"{NORMS['mirror']}; curves marked * {other}, {why}"
 
 
-def _spikes(f: Fitted) -> str:
+def _spikes(f: FittedModel) -> str:
     """A sentence on the curves whose spike leaves nothing else to see."""
     found: dict[str, float] = {}
     for c in f.drawn:
@@ -213,7 +213,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     )
 
 
-def _band(f: Fitted) -> str:
+def _band(f: FittedModel) -> str:
     """A sentence on the band around theory; "" where the data do not reject the model."""
     if f.fit.misfit is None or f.fit.tau is None:
         return ""
@@ -336,7 +336,7 @@ def budget_height(parts: int) -> float:
     return 0.7 + 0.3 * parts
 
 
-def _series(facts: DatasetSummary, model: str, f: Fitted, file: str) -> Drawing:
+def _series(facts: DatasetSummary, model: str, f: FittedModel, file: str) -> Drawing:
     x = np.array([r.wavelength_nm for r in f.series])
     values = {
         name: np.array([(r.parameters[name].value, r.parameters[name].u) for r in f.series], dtype=float)
@@ -377,7 +377,7 @@ class _Legend:
     """What the values are called."""
 
     @classmethod
-    def of(cls, d: Dataset, f: Fitted, *, star: bool = True) -> _Legend:
+    def of(cls, d: Dataset, f: FittedModel, *, star: bool = True) -> _Legend:
         mixed = star and len({c.norm.kind for c in f.drawn}) > 1
         names = [c.label + "*" * (mixed and c.norm.kind != "mirror") for c in f.drawn]
         return cls(names, style.columns(names, 5.6), measurement(d))

@@ -41,7 +41,7 @@ from gonio_analysis.report.blocks import Page, titled, with_notice
 from gonio_analysis.report.comparison import VALUES, usable
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.result_records import as_json
-from gonio_analysis.selection.compare import Dataset, Drawn
+from gonio_analysis.selection.compare import Dataset, DrawnCurve
 
 if TYPE_CHECKING:
     from gonio_analysis.report.drawing import Figure
@@ -50,7 +50,7 @@ ROWS_AT_ONCE = 10_000
 
 
 def write_tables(
-    datasets: Sequence[Dataset], summary: Summary, views: Sequence[viewer.View | None], folder: Path
+    datasets: Sequence[Dataset], summary: Summary, views: Sequence[viewer.ViewerData | None], folder: Path
 ) -> list[str]:
     """Write parameters, metrics, curves, theory, profiles, and parameters over wavelength; the names of the files."""
     files = [*written(folder / "parameters.csv", partial(_parameters, summary))]
@@ -130,7 +130,7 @@ def _budget(s: DatasetSummary, path: Path) -> None:
     write_csv(path, ("cause", "median_relative", "p95_relative"), ((b.cause, b.median, b.p95) for b in s.budget))
 
 
-def _interactive(view: viewer.View, path: Path) -> None:
+def _interactive(view: viewer.ViewerData, path: Path) -> None:
     write_csv(path, viewer.COLUMNS, viewer.rows(view))
 
 
@@ -192,7 +192,7 @@ def _curves(d: Dataset, path: Path) -> None:
     )
 
 
-def _of_drawn(model: str, c: Drawn) -> list[list[Any]]:
+def _of_drawn(model: str, c: DrawnCurve) -> list[list[Any]]:
     """The columns of a curve: measured values, and theory."""
     k, none = c.curve, np.full(c.theory.size, np.nan)
     measured, theory = c.norm.measured, c.norm.theory
@@ -257,7 +257,7 @@ def _cell(value: object) -> object:
 
 
 @dataclass(frozen=True)
-class Staged:
+class StagedFolder:
     """A folder in the making."""
 
     work: Path
@@ -267,7 +267,7 @@ class Staged:
 
 
 @contextmanager
-def staged(folder: str | Path) -> Iterator[Staged]:
+def staged(folder: str | Path) -> Iterator[StagedFolder]:
     """A temporary folder beside `folder` that takes its place when the block ends, and vanishes when the block fails.
 
     An earlier report in `folder` is replaced where nothing else lies there and no file of it was changed since, as its
@@ -301,7 +301,7 @@ def staged(folder: str | Path) -> Iterator[Staged]:
         work.chmod(0o777 & ~mask)
         write_manifest(work, {})
         with lost.collecting() as losses:
-            yield Staged(work, final)
+            yield StagedFolder(work, final)
         write_manifest(work, manifest_of(work))
         _check(final, shown)  # once more: somebody may have put something there meanwhile
         _put(work, final)

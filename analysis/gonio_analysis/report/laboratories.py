@@ -10,7 +10,7 @@ from gonio import lost
 from gonio.errors import ConfigError
 from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.consensus import METHODS, Consensus
-from gonio_analysis.changes.laboratories import LEVEL, Comparison, Laboratory, compared
+from gonio_analysis.changes.laboratories import LEVEL, LaboratoryComparison, LaboratoryVerdict, compared
 from gonio_analysis.changes.point_by_point import side
 from gonio_analysis.report import change_figures, files, frame
 from gonio_analysis.report.blocks import (
@@ -120,18 +120,18 @@ def names(specs: Sequence[str]) -> list[str]:
     return own
 
 
-def _title(c: Comparison) -> str:
+def _title(c: LaboratoryComparison) -> str:
     count, simulated = len(c.sides), sum(one.simulated for one in c.sides)
     mark = "" if not simulated else " (simulated)" if simulated == count else f", {simulated} of them simulated"
     return f"{count} laboratories compared{mark}"
 
 
-def _consensus(c: Comparison) -> dict[str, Consensus]:
+def _consensus(c: LaboratoryComparison) -> dict[str, Consensus]:
     """The scale of all laboratories: the chosen one, and by every method."""
     return {"": c.scales.reference, **{m: c.methods[m] for m in METHODS}}
 
 
-def _summary(c: Comparison, made: Stamp) -> dict[str, object]:
+def _summary(c: LaboratoryComparison, made: Stamp) -> dict[str, object]:
     """Every number of the page; scales, degrees of equivalence and U = 2 u of laboratories are relative."""
 
     def absolute(method: str, x: Consensus) -> dict[str, object]:
@@ -182,12 +182,12 @@ def _degrees(angle: float | None) -> float | None:
     return None if angle is None else float(np.degrees(angle))
 
 
-def _inconsistent(c: Comparison) -> int:
+def _inconsistent(c: LaboratoryComparison) -> int:
     """Directions whose chi-square has a probability below `LEVEL`; by chance that share of all has."""
     return int(np.count_nonzero(c.p_alone < LEVEL))
 
 
-def says(x: Laboratory) -> str:
+def says(x: LaboratoryVerdict) -> str:
     """What sets a laboratory apart, in words; "" where nothing does."""
     parts = []
     if not x.scale_consistent:
@@ -203,7 +203,7 @@ def says(x: Laboratory) -> str:
     return " and ".join(parts)
 
 
-def verdict(c: Comparison) -> list[str]:
+def verdict(c: LaboratoryComparison) -> list[str]:
     """The answer, in two sentences at most."""
     count, off = len(c.laboratories), [x for x in c.laboratories if not x.consistent]
     u = percent(c.scales.reference.u / c.scales.reference.value)
@@ -227,18 +227,18 @@ def verdict(c: Comparison) -> list[str]:
     return [f"{count - len(off)} of {count} laboratories agree; {named}.", f"{known}."]
 
 
-def conclusion(c: Comparison) -> str:
+def conclusion(c: LaboratoryComparison) -> str:
     """The verdict, and of every laboratory that is off by what."""
     said, off = " ".join(verdict(c)), [x for x in c.laboratories if not x.consistent]
     each = _each(off)
     return said if each in said else f"{said} {each[:1].upper()}{each[1:]}."
 
 
-def _each(off: Sequence[Laboratory]) -> str:
+def _each(off: Sequence[LaboratoryVerdict]) -> str:
     return "; ".join(f"{x.name} {says(x)}" for x in off)
 
 
-def _write_tables(c: Comparison, folder: Path) -> list[str]:
+def _write_tables(c: LaboratoryComparison, folder: Path) -> list[str]:
     """Every direction, and every value; the names of the files."""
     where = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
     angles = [np.round(np.degrees(x), 10) for x in c.at.directions.angles]
@@ -265,7 +265,7 @@ def _write_tables(c: Comparison, folder: Path) -> list[str]:
 # ---- the page ----
 
 
-def _page(c: Comparison, made: Stamp, figures: Sequence[Figure]) -> Page:
+def _page(c: LaboratoryComparison, made: Stamp, figures: Sequence[Figure]) -> Page:
     sub = (
         f"Laboratories compared, {made['created'][:10]}, gonio {made['versions']['gonio']}. Uncertainties are standard"
         " uncertainties (k = 1); U is expanded (k = 2)."
@@ -290,7 +290,7 @@ def _page(c: Comparison, made: Stamp, figures: Sequence[Figure]) -> Page:
     return frame.page(_title(c), sub, first, folds=folds, foot=FOOTER)
 
 
-def _laboratories(c: Comparison) -> Table:
+def _laboratories(c: LaboratoryComparison) -> Table:
     rows = []
     for x in c.laboratories:
         degree, u = 100 * x.degree, 100 * x.u_degree
@@ -300,13 +300,13 @@ def _laboratories(c: Comparison) -> Table:
     return table(caption, ["laboratory", "d / %", "U(d) / %", "E_n", "verdict"], rows, right=(1, 2, 3))
 
 
-def _cause(x: Laboratory) -> str:
+def _cause(x: LaboratoryVerdict) -> str:
     """What sets a laboratory apart, in few words; `says` has the numbers."""
     parts = ["a reference"] * (not x.scale_consistent) + ["a zero"] * (not x.zero_consistent)
     return "off: " + ", ".join(parts + ["scatter"] * (not x.scatter_consistent)) if not x.consistent else ""
 
 
-def _in_full(c: Comparison) -> Table:
+def _in_full(c: LaboratoryComparison) -> Table:
     rows = []
     for x in c.laboratories:
         zero = "–" if x.zero is None or x.u_zero is None else with_u(_degrees(x.zero), _degrees(x.u_zero))
@@ -315,7 +315,7 @@ def _in_full(c: Comparison) -> Table:
     return table(caption, ["laboratory", "scale", "zero / °", "scatter"], rows, right=(1, 2, 3))
 
 
-def _methods(c: Comparison) -> Table:
+def _methods(c: LaboratoryComparison) -> Table:
     chosen = "largest consistent subset" if c.scales.method == "weighted" else "headline, Mandel-Paule of all"
     rows = [
         [IN_WORDS.get(m, chosen), with_u(x.value * c.mean, x.u * c.mean), percent(x.u / x.value),
@@ -329,7 +329,7 @@ def _methods(c: Comparison) -> Table:
     return table(caption, ["method", "value", "u", "dark uncertainty"], rows, right=(1, 2, 3))
 
 
-def _facts(c: Comparison) -> list[tuple[str, str]]:
+def _facts(c: LaboratoryComparison) -> list[tuple[str, str]]:
     waves = ", ".join("broad band" if np.isnan(w) else f"{w:g} nm" for w in c.at.wavelengths)
     between = ", ".join(f"{x.name} {count}" for x, count in zip(c.laboratories, c.interpolated, strict=True) if count)
     n, by_chance = len(c.at), f"p < {LEVEL:g}; by chance {LEVEL * len(c.at):.1f}"

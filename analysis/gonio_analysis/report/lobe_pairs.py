@@ -8,7 +8,7 @@ import numpy as np
 from gonio.geometry import SAME_ANGLE, SAME_AZIMUTH
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, curves, evenly
-from gonio_analysis.curves.lobes import Lobe, lobe
+from gonio_analysis.curves.lobes import CurveLobe, lobe
 from gonio_analysis.fitting.observations import Observations
 
 MOST_CURVES = 12
@@ -18,7 +18,7 @@ STANDS = 3.0
 
 
 @dataclass(frozen=True)
-class Found:
+class LobeDifference:
     """A difference of the lobes, B - A, over all curves in which both are known."""
 
     value: float
@@ -46,7 +46,7 @@ class LobePair:
 class Lobes:
     """The lobes of both samples at their common incidences."""
 
-    pairs: list[tuple[Lobe, Lobe]]
+    pairs: list[tuple[CurveLobe, CurveLobe]]
 
     @classmethod
     def of(cls, a: Observations, b: Observations) -> "Lobes":
@@ -100,7 +100,7 @@ class Lobes:
         value, u = np.array(rows).reshape(-1, 2).T
         return value, u
 
-    def found(self, name: str, least: float, beside: tuple[float, float] = (0.0, 0.0)) -> Found | None:
+    def found(self, name: str, least: float, beside: tuple[float, float] = (0.0, 0.0)) -> LobeDifference | None:
         """Their mean; `beside`: what it is expected to be, and the uncertainty of that."""
         value, u = self.differences(name)
         if not value.size:
@@ -114,7 +114,9 @@ class Lobes:
             mean, of_mean = float(value.mean()), math.nan
             if value.size > 1:
                 of_mean = float(value.std(ddof=1)) / math.sqrt(value.size)
-        return Found(mean, of_mean, stands(mean - beside[0], math.hypot(np.nan_to_num(of_mean), beside[1]), least))
+        return LobeDifference(
+            mean, of_mean, stands(mean - beside[0], math.hypot(np.nan_to_num(of_mean), beside[1]), least)
+        )
 
 
 def same_incidence(one: Curve, other: Curve) -> bool:

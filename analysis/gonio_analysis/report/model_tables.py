@@ -11,9 +11,9 @@ from gonio_analysis.report import verdict
 from gonio_analysis.report.blocks import Block, Heading, Span, Table, Text, code, table, term
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import difference, number, percent, with_u
-from gonio_analysis.selection.compare import Fitted
+from gonio_analysis.selection.compare import FittedModel
 from gonio_analysis.selection.judging import Judged
-from gonio_analysis.selection.regions import Region
+from gonio_analysis.selection.regions import WorstRegion
 
 SHORT = 18
 """Characters of a name that stay on one line."""
@@ -67,7 +67,7 @@ def _row(d: DatasetSummary, label: str, j: Judged | None, alone: bool) -> list[T
     ]
 
 
-def _worst(missed: Region | None, *, rejected: bool) -> str:
+def _worst(missed: WorstRegion | None, *, rejected: bool) -> str:
     return missed.off if missed is not None and rejected and missed.typical >= missed.misfit else ""
 
 
@@ -117,7 +117,7 @@ def _value(d: DatasetSummary, model: str, parameter: str, e: Estimate) -> tuple[
     return with_u(e.value, e.u), f"{low}{' (bound)' * (below < lowest)} to {high}{' (bound)' * (above > highest)}"
 
 
-def _remark(f: Fitted, parameter: str, e: Estimate) -> Text:
+def _remark(f: FittedModel, parameter: str, e: Estimate) -> Text:
     """What a parameter trades with, or why it has no uncertainty."""
     parts: list[Text] = []
     if parameter in f.fit.derived:
@@ -136,7 +136,7 @@ def _remark(f: Fitted, parameter: str, e: Estimate) -> Text:
     return tuple(joined)
 
 
-def _strongest(f: Fitted, parameter: str) -> list[Text]:
+def _strongest(f: FittedModel, parameter: str) -> list[Text]:
     if parameter not in f.fit.free:
         return []
     row = dict(zip(f.fit.free, f.fit.correlation[f.fit.free.index(parameter)].tolist(), strict=True))
@@ -156,7 +156,7 @@ def _of_intervals(d: DatasetSummary, of: Sequence[str]) -> list[str]:
     return said
 
 
-def _of_errors(fits: Sequence[Fitted], d: DatasetSummary) -> list[str]:
+def _of_errors(fits: Sequence[FittedModel], d: DatasetSummary) -> list[str]:
     """What the standard uncertainties of these models are, in sentences."""
     off = [f.fit.misfit is not None for f in fits]
     said = []
@@ -176,7 +176,7 @@ def _of_errors(fits: Sequence[Fitted], d: DatasetSummary) -> list[str]:
     return said
 
 
-def fitted_words(d: DatasetSummary, model: str, f: Fitted) -> str:
+def fitted_words(d: DatasetSummary, model: str, f: FittedModel) -> str:
     """The fitted parameters of a model, with their uncertainties."""
     said = ", ".join(f"{n} = {_in_line(d, model, n, p)}" for n, p in f.fit.parameters.items() if not p.fixed)
     if f.fit.shared is not None:

@@ -31,7 +31,7 @@ from gonio_analysis.report.cells import (
     shown_comparison,
     shown_fit,
 )
-from gonio_analysis.selection.compare import Drawn, check_models, examine
+from gonio_analysis.selection.compare import DrawnCurve, check_models, examine
 
 Table: TypeAlias = "DataFrame | str | Path"
 """A measurement table, or where one is: a file, a run, or "FILE:SAMPLE"."""
@@ -169,7 +169,7 @@ def semilog(
 
 def _drawn(
     table: Table, model: Model | FitResult | None, wavelength_nm: float | None, normalise: Normalise
-) -> list[Drawn]:
+) -> list[DrawnCurve]:
     frame, called = _table(table, None)
     if wavelength_nm is None and isinstance(model, FitResult) and np.isfinite(model.wavelength_nm):
         wavelength_nm = model.wavelength_nm

@@ -36,7 +36,7 @@ from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.model_tables import fitted_words
 from gonio_analysis.report.section import part
 from gonio_analysis.report.text import FILLING, difference, number, percent, slug, with_u
-from gonio_analysis.report.viewer import View
+from gonio_analysis.report.viewer import ViewerData
 
 MOST_SOURCES = 50
 """Samples whose provenance stands on the page."""
@@ -114,7 +114,7 @@ FOOTER = footer(
 )
 
 
-Beside = tuple[View | None, Sequence[Figure]]
+Beside = tuple[ViewerData | None, Sequence[Figure]]
 """What shows several samples in one plot: on a screen, and on paper."""
 SAMPLES = "page.samples"
 """The identifier of that plot: no name of a sample has a dot."""
@@ -123,7 +123,7 @@ SAMPLES = "page.samples"
 def render(
     summary: Summary,
     drawn: Sequence[Sequence[Figure]],
-    views: Sequence[View | None],
+    views: Sequence[ViewerData | None],
     beside: Beside = (None, ()),
 ) -> dict[str, Page]:
     """The pages by the name of their file: `index.html`, and further ones for samples that it cannot hold.

@@ -34,7 +34,7 @@ from gonio_analysis.report.section import Figures as ByKind
 from gonio_analysis.report.section import blocks_of, part
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.report.text import angle, cut, difference, glued, number, percent, reasons, with_u
-from gonio_analysis.report.viewer import View
+from gonio_analysis.report.viewer import ViewerData
 
 FAR = 0.1
 """Share of a model's light in directions that were not measured, above which it is named."""
@@ -42,7 +42,7 @@ MOST_NAMED = 120
 """Characters of names beside the heading of a folded part."""
 
 
-def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View | None) -> Group:
+def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: ViewerData | None) -> Group:
     """One sample's part of the page: the answer open, the rest folded.
 
     Parameters
@@ -88,7 +88,7 @@ def _of_best(d: DatasetSummary, figures: Sequence[Figure], *, best: bool = True)
     return tuple(f for f in figures if (f.model == d.best) is best)
 
 
-def _picture(d: DatasetSummary, by: ByKind, view: View | None) -> list[Block]:
+def _picture(d: DatasetSummary, by: ByKind, view: ViewerData | None) -> list[Block]:
     """The interactive polar plot; on paper the drawing of the model that is put first."""
     polar = _of_best(d, by.get("polar", ()))
     if view is not None:

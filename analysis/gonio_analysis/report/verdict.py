@@ -19,9 +19,9 @@ from gonio_analysis.report.blocks import Block, Notes, Paragraph, Text, table, t
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import angle, difference, glued, number, percent, reasons, with_u
 from gonio_analysis.result_records import MisfitSummary, Reflectance
-from gonio_analysis.selection.choice import Choice
+from gonio_analysis.selection.choice import ModelChoice
 from gonio_analysis.selection.judging import DECISIVE, Judged
-from gonio_analysis.selection.regions import Region, farthest, worst
+from gonio_analysis.selection.regions import WorstRegion, farthest, worst
 
 NOT_SMALL = 0.5
 """Beyond this, what may go unnoticed is no small misfit, and nothing is said of it."""
@@ -91,7 +91,7 @@ def of_true_model(best: str, fit: FitResult, tried: int, *, named: bool) -> str:
     return said + (f" {open_[:1].upper()}{open_[1:]}." if open_ else "")
 
 
-def where(missed: Region | None) -> str:
+def where(missed: WorstRegion | None) -> str:
     """The region that a model misses most, and the single value, as a sentence; "" where there is none."""
     if missed is None or not missed.off:
         return ""
@@ -161,7 +161,7 @@ MISFIT = (
 """For tables that have such a column."""
 
 
-def brief(choice: Choice, label: str, fit: FitResult) -> str:
+def brief(choice: ModelChoice, label: str, fit: FitResult) -> str:
     """What the data say of a model, in a word or two."""
     if choice.near:
         return "nearest" if label == next(iter(choice.near)) else "as near" if label in choice.near else "farther off"
@@ -238,7 +238,7 @@ def _reason(c: Judged) -> str:
     return re.sub(r"^reduced chi-square \S+ \((.*)\)$", r"\1", c.rejected)
 
 
-def _rule(choice: Choice, stated: bool) -> str:
+def _rule(choice: ModelChoice, stated: bool) -> str:
     """By what models are judged, in sentences."""
     if choice.near:
         return (

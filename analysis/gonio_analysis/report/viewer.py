@@ -54,7 +54,7 @@ class WaveView(TypedDict):
     curves: list[CurveView]
 
 
-class View(TypedDict):
+class ViewerData(TypedDict):
     """The data that the page's script reads, as JSON."""
 
     name: str
@@ -72,7 +72,7 @@ class View(TypedDict):
     waves: list[WaveView]
 
 
-def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES) -> View:
+def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES) -> ViewerData:
     """In-plane curves of a sample at every wavelength that was fitted, with every model's theory.
 
     Parameters
@@ -209,7 +209,7 @@ def points(name: str, c: Curve, brdf: Floats, u: Floats) -> Series:
     }
 
 
-def rows(view: View) -> Iterator[tuple[Any, ...]]:
+def rows(view: ViewerData) -> Iterator[tuple[Any, ...]]:
     """The same curves as rows of a table with `COLUMNS`."""
     for wave in view["waves"]:
         for curve in wave["curves"]:

@@ -1,7 +1,7 @@
 """What models say of several samples: those that describe every one about as well as the nearest to it, and no others.
 
 A model that is far from one of the samples has other parameters there because it is far. Of a sample that the data
-reject every model of, `Choice.near` says which are about as near; of any other those count that are not rejected.
+reject every model of, `ModelChoice.near` says which are about as near; of any other those count that are not rejected.
 """
 
 import math
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from gonio.shown import number, with_u
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult
-from gonio_analysis.selection.choice import Choice
+from gonio_analysis.selection.choice import ModelChoice
 from gonio_analysis.selection.compare import Dataset
 
 TOLD_APART = 3.0
@@ -86,7 +86,7 @@ def across_models(datasets: Sequence[Dataset]) -> AcrossModels:
     return AcrossModels(shared, near, remedies, _words(shared, near))
 
 
-def alike(choice: Choice) -> list[str]:
+def alike(choice: ModelChoice) -> list[str]:
     """The models that describe a sample about as well as its nearest one, by label; that one is the first."""
     if choice.near:
         return list(choice.near)

@@ -90,7 +90,7 @@ def transmitted(
 
 
 @dataclass(frozen=True)
-class Polarisation:
+class MuellerFacts:
     """The Mueller matrices of a table's usable rows, and those of the model that has any."""
 
     measured: Floats
@@ -140,7 +140,7 @@ class Polarisation:
 
 def polarisation(
     table: DataFrame, at: Observations, drawn: list[Curve], fits: Mapping[str, FitResult]
-) -> Polarisation | None:
+) -> MuellerFacts | None:
     """The Mueller matrices of a table; None where it holds none.
 
     The model is the first of the fitted ones that has a Mueller matrix (He-Torrance), as it was fitted to the BRDF
@@ -164,7 +164,7 @@ def polarisation(
             rows = curve.rows[there]
             path = np.empty(0) if along is None else along[:, k]
             lines[element].append(Line(name, angle, path, curve.angle[there], measured[rows, k], u[rows, k]))
-    return Polarisation(measured, u, label, theory, lines)
+    return MuellerFacts(measured, u, label, theory, lines)
 
 
 def _columns(table: DataFrame, names: Any, at: Observations) -> Floats:

@@ -45,7 +45,7 @@ BEYOND = 2
 
 
 @dataclass(frozen=True)
-class Choice:
+class ModelChoice:
     """What was tried, in order of complexity, and what the data say."""
 
     judged: list[Judged]
@@ -189,7 +189,7 @@ def choose(
     all_of_them: bool = False,
     progress: Callable[[str], None] = lambda text: None,
     share: Share = here,
-) -> Choice:
+) -> ModelChoice:
     """Fit every candidate to the values at one wavelength, and say which is the simplest that the data do not reject.
 
     Parameters
@@ -224,7 +224,7 @@ def choose(
         words = _none_fitted(left_out, name)
         if len(data.nearest(wavelength_nm)[0]) > min(sizes.values()):
             raise DataError(f"{name}: {words}")
-        return Choice([], None, {}, f"{words}.", "", left_out)
+        return ModelChoice([], None, {}, f"{words}.", "", left_out)
     folds, by = blocks(next(iter(fits.values())).data)
     told = f"{name}: predicting values left out, models"
     tested = share([partial(_tested, r, folds) for r in fits.values()], told, progress)
@@ -236,7 +236,7 @@ def choose(
         judged = _reject([better.get(j.candidate, j) for j in judged])
         named, intervals, _ = _walked(judged, share)
     near = _near(judged)
-    return Choice(judged, named, intervals, _words(judged, named, near), by, left_out, near)
+    return ModelChoice(judged, named, intervals, _words(judged, named, near), by, left_out, near)
 
 
 def _beyond_the_directions(candidate: Candidate, data: Observations) -> str:

@@ -27,11 +27,11 @@ from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
 from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection import parallel
-from gonio_analysis.selection.beyond_reflection import Polarisation, Transmitted, polarisation, transmitted
-from gonio_analysis.selection.choice import Choice, candidates, choose
+from gonio_analysis.selection.beyond_reflection import MuellerFacts, Transmitted, polarisation, transmitted
+from gonio_analysis.selection.choice import ModelChoice, candidates, choose
 from gonio_analysis.selection.judging import DECISIVE, Judged, deviance
 from gonio_analysis.selection.parallel import Share
-from gonio_analysis.selection.regions import Region, farthest
+from gonio_analysis.selection.regions import WorstRegion, farthest
 
 MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""
@@ -42,7 +42,7 @@ JUMP = 3.0
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnCurve:
     """One in-plane curve with one model, ready to be drawn."""
 
     curve: Curve
@@ -96,15 +96,15 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedModel:
     """One model on one measurement."""
 
     fit: FitResult
     metrics: dict[str, float | None]
-    drawn: list[Drawn]
+    drawn: list[DrawnCurve]
     series: list[FitResult] = field(default_factory=list)
     """Fits at every wavelength of the table, where it has several."""
-    missed: Region | None = None
+    missed: WorstRegion | None = None
     """The region of angles that it misses most, by the ratio to the measurement."""
     rho_dh: list[Reflectance] = field(default_factory=list)
 
@@ -145,10 +145,10 @@ class Dataset:
     wavelength_nm: float
     every_curve: list[Curve]
     """All curves in the plane of incidence, drawn or not."""
-    fitted: dict[str, Fitted]
+    fitted: dict[str, FittedModel]
     skipped: dict[str, str]
     """Model -> why it was not fitted."""
-    choice: Choice
+    choice: ModelChoice
     """Which model the data ask for."""
     transmitted: Transmitted | None
     run: RunFacts | None
@@ -177,7 +177,7 @@ class Dataset:
 
     @cached_property
     def rho_dh_near(self) -> dict[str, list[Reflectance]]:
-        """rho_dh of the models that cannot be told from the nearest one (`Choice.near`), by label, shown or not."""
+        """rho_dh of the models that cannot be told from the nearest (`ModelChoice.near`), by label, shown or not."""
         fits = {j.candidate.label: j.fit for j in self.choice.judged}
         shown = {label: one.rho_dh for label, one in self.fitted.items()}
         return {label: shown.get(label) or energy.of_model(fits[label]) for label in self.choice.near}
@@ -193,7 +193,7 @@ class Dataset:
         return symmetries(self.data.checked)
 
     @cached_property
-    def polarisation(self) -> Polarisation | None:
+    def polarisation(self) -> MuellerFacts | None:
         """The Mueller matrices that the table holds."""
         fits = {label: one.fit for label, one in self.fitted.items()}
         return polarisation(self.table, self.data, self.curves, fits)
@@ -289,7 +289,7 @@ def _drawn_model(
     shown: list[Curve],
     normalise: Normalise,
     progress: Say,
-) -> Fitted:
+) -> FittedModel:
     """A model that is shown, at every wavelength (of one geometry, or each alone) and with its curves."""
     result = judged.fit
     if shares(replace(result.problem.asked, separate=separate), data) and not math.isnan(result.wavelength_nm):
@@ -300,7 +300,7 @@ def _drawn_model(
     return _fitted(result, shown, normalise, _series(judged, data, name, progress))
 
 
-def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series: list[FitResult]) -> Fitted:
+def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series: list[FitResult]) -> FittedModel:
     data = result.data
     white = result.whitened if result.goal.whitened and result.misfit is None else None
     if white is None and data.covariance is not None:
@@ -316,7 +316,7 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
             with np.errstate(divide="ignore"):  # beside a value of 0 a model is infinitely far off
                 residual = result.predicted[curve.rows] / curve.brdf - 1.0
         drawn.append(
-            Drawn(
+            DrawnCurve(
                 curve=curve,
                 norm=norm(curve, normalise, result.model, data),
                 label=label,
@@ -326,7 +326,7 @@ def _fitted(result: FitResult, shown: list[Curve], normalise: Normalise, series:
                 tau=0.0 if result.misfit is None else result.misfit.tau,
             )
         )
-    return Fitted(result, numbers, drawn, series, farthest(result), energy.of_model(result))
+    return FittedModel(result, numbers, drawn, series, farthest(result), energy.of_model(result))
 
 
 def _series(judged: Judged, data: Observations, name: str, progress: Say) -> list[FitResult]:

@@ -21,7 +21,7 @@ from gonio_analysis.fitting.objective import on_log_scale, smallest
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import SIGNIFICANCE, FitRequest
 from gonio_analysis.fitting.profile_likelihood import Near
-from gonio_analysis.selection.regions import Region, farthest, incidences, worst
+from gonio_analysis.selection.regions import WorstRegion, farthest, incidences, worst
 
 FOLDS = 5
 
@@ -95,7 +95,7 @@ class Judged:
     """Mean squared whitened residual of values that the fit had not seen; of logarithms without uncertainties."""
     misses: Floats | None
     """Squared differences of logarithms of the same (n,), by the fits of which each value was left out."""
-    fails: Region | None
+    fails: WorstRegion | None
     """Where the misfit is largest."""
     rejected: str = ""
     """Why the data reject it, in words; "" where they do not."""
@@ -277,7 +277,7 @@ def _behind(j: Judged, nearest: Judged) -> str:
     return f"its misfit is {shown.number(times, 2)} times that of {label}"
 
 
-def nearness(label: str, result: FitResult, fails: Region | None, near: Mapping[str, float], tried: int) -> str:
+def nearness(label: str, result: FitResult, fails: WorstRegion | None, near: Mapping[str, float], tried: int) -> str:
     """How far a model is from the sample, where it is farthest off, and what it cannot be told from, in sentences.
 
     Parameters

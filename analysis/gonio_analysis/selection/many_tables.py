@@ -27,7 +27,7 @@ Count = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TablesOutcome:
     """What came of all tables."""
 
     rows: list[Row]
@@ -72,7 +72,9 @@ def listed(where: str) -> list[str]:
     return found
 
 
-def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | None = None, count: Count) -> Outcome:
+def make(
+    where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | None = None, count: Count
+) -> TablesOutcome:
     """Fit every table, and write a row for each.
 
     Parameters
@@ -118,7 +120,7 @@ def make(where: str, out: Path, asked: FitRequest, how: Reading, *, dask: str | 
         write_whole(out, _csv(names, every, head=True))
         platform.sync_folder(out.parent)  # the table has its name on the disk before the rows of this try go
         part.unlink()
-    return Outcome(every, len(jobs) - len(todo))
+    return TablesOutcome(every, len(jobs) - len(todo))
 
 
 def _columns(free: Iterable[str]) -> list[str]:

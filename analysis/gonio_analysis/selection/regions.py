@@ -30,7 +30,7 @@ ALL = "all angles"
 
 
 @dataclass(frozen=True)
-class Region:
+class WorstRegion:
     """Where a model is farthest from the data."""
 
     words: str
@@ -74,7 +74,7 @@ class Region:
         return f"one value is {times(self.single_ratio)}, at {self.single_words}"
 
 
-def worst(missed: Region | None) -> str:
+def worst(missed: WorstRegion | None) -> str:
     """What follows on how far off a model is: the region where it is farther off than that, and a single value."""
     if missed is None or not missed.off:
         return ""
@@ -96,7 +96,7 @@ def incidences(theta_i: Floats) -> list[tuple[float, Rows]]:
     return [(float(theta_i[group].mean()), group) for group in np.split(order, cuts)]
 
 
-def farthest(result: FitResult) -> Region | None:
+def farthest(result: FitResult) -> WorstRegion | None:
     """The region in which a model is off by most, over values above 3 u; None where there are none.
 
     A value counts by what it tells of a misfit, as in `misfit.u_of_log_tau`. So a region's misfit is tau, of this
@@ -118,7 +118,7 @@ def farthest(result: FitResult) -> Region | None:
 
     words, here = max(_regions(data.directions[seen], weight), key=lambda found: typical(found[1]))
     excess, single = float((logs[here] ** 2).sum()), int(np.argmax(part * np.abs(logs)))
-    return Region(
+    return WorstRegion(
         words,
         int(here.size),
         excess,

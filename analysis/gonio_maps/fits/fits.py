@@ -21,7 +21,7 @@ from gonio.threads import in_threads
 from gonio.typing import Floats, JsonObject
 from gonio_maps.files import FIT_FLAGS, MapFile, Parts, Tile, Variable
 from gonio_maps.fits import materials as shared
-from gonio_maps.fits.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, Places, Plan, fit_tile, plan, read_tile
+from gonio_maps.fits.pixels import AT_BOUND, REJECTED, TOO_FEW, Arrays, PixelPlan, Places, fit_tile, plan, read_tile
 
 MOST_PIXELS = 1_000_000
 """Whose values a summary orders."""
@@ -36,7 +36,7 @@ Count = Callable[[int, int], None]
 def make(
     path: Path, out: Path, asked: FitRequest, *, materials: str | None = None, dask: str | None = None, count: Count,
     say: Callable[[str], None],
-) -> Plan:  # fmt: skip
+) -> PixelPlan:  # fmt: skip
     """Fit every pixel of a map.
 
     Parameters
@@ -104,7 +104,7 @@ def _count_of(materials: str | None) -> int | None:
     return count
 
 
-def _about(map_file: MapFile, wanted: Plan) -> JsonObject:
+def _about(map_file: MapFile, wanted: PixelPlan) -> JsonObject:
     """What the fits are, as attributes; and what tiles of an earlier try have to agree with."""
     versions = {"gonio": gonio.__version__, "python": platform.python_version()}
     versions |= {name: version(name) for name in ("numpy", "numba", "scipy")}
@@ -120,7 +120,7 @@ def _about(map_file: MapFile, wanted: Plan) -> JsonObject:
     }
 
 
-def _fitted(map_file: MapFile, wanted: Plan, parts: Parts, todo: list[Tile], dask: str | None) -> Iterator[None]:
+def _fitted(map_file: MapFile, wanted: PixelPlan, parts: Parts, todo: list[Tile], dask: str | None) -> Iterator[None]:
     """Fits tiles and keeps them, by the threads of this process or by a cluster; yields once a tile."""
     if dask is None:
         return in_threads(lambda tile: parts.write(tile, fit_tile(wanted, read_tile(map_file, tile))), todo)
@@ -128,13 +128,13 @@ def _fitted(map_file: MapFile, wanted: Plan, parts: Parts, todo: list[Tile], das
     return in_threads(lambda one: parts.write(todo[one[0]], one[1]), found)
 
 
-def _sent(job: tuple[Plan, Places]) -> Arrays:
+def _sent(job: tuple[PixelPlan, Places]) -> Arrays:
     """What a thread of a worker of a cluster does: its neighbours have the other processors."""
     with alone():
         return fit_tile(*job)
 
 
-def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, Variable]]:
+def _layout(map_file: MapFile, wanted: PixelPlan) -> tuple[dict[str, int], dict[str, Variable]]:
     """Dimensions and variables of a file of fits."""
     rows, cols = map_file.shape
     sizes, yx = {"y": rows, "x": cols}, ("y", "x")
@@ -165,7 +165,7 @@ def _layout(map_file: MapFile, wanted: Plan) -> tuple[dict[str, int], dict[str, 
 
 
 @dataclass(frozen=True)
-class Parameter:
+class MapParameter:
     """One parameter over a map."""
 
     median: float
@@ -179,7 +179,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Summary:
+class FitsSummary:
     """What a file of fits says in short."""
 
     pixels: int
@@ -188,7 +188,7 @@ class Summary:
     at_bound: int
     misfit: float
     """Median of the misfit of pixels that are rejected; NaN without any."""
-    parameters: dict[str, Parameter]
+    parameters: dict[str, MapParameter]
     materials: list[dict[str, float]]
     """By material: its pixels, chi-square a degree of freedom, and parameters with u."""
 
@@ -199,7 +199,7 @@ class Summary:
         return dict(as_json(self))
 
 
-def summary(path: Path) -> Summary:
+def summary(path: Path) -> FitsSummary:
     """The summary of a file of fits; medians and percentiles are those of `MOST_PIXELS` evenly drawn ones, at most."""
     with MapFile(path) as fits:
         units = fits.attrs["parameters"]
@@ -223,12 +223,12 @@ def summary(path: Path) -> Summary:
         for (name, unit), masked in zip(units.items(), unknown, strict=True):
             values = some[name]
             low, middle, high = np.quantile(values, [0.16, 0.5, 0.84]) if values.size else [np.nan] * 3
-            parameters[name] = Parameter(
+            parameters[name] = MapParameter(
                 float(middle), 0.5 * float(high - low), _middle(some[f"u_{name}"]), unit, masked
             )
         of_kinds = {name: fits.array(name) for name in fits.names if name.startswith(("material_", "u_material_"))}
         kinds = [dict(zip(of_kinds, map(float, row), strict=True)) for row in zip(*of_kinds.values(), strict=True)]
-    return Summary(size, fitted, rejected, bound, _middle(some["misfit"]), parameters, kinds)
+    return FitsSummary(size, fitted, rejected, bound, _middle(some["misfit"]), parameters, kinds)
 
 
 def _middle(values: Floats) -> float:

@@ -23,7 +23,7 @@ from gonio.geometry import Directions
 from gonio.threads import in_threads
 from gonio.typing import Floats
 from gonio_maps.files import MapFile, Parts, Tile, Variable
-from gonio_maps.fits.pixels import Plan, read_tile
+from gonio_maps.fits.pixels import PixelPlan, read_tile
 from gonio_maps.models import batch_spectra
 
 MOST_DRAWN = 2000
@@ -44,7 +44,7 @@ Whole = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Pixels:
+class PixelValues:
     """Values of some pixels."""
 
     x_mm: Floats
@@ -53,20 +53,20 @@ class Pixels:
     """BRDF [1/sr] of one wavelength after the other, shape (P, n); NaN where flagged."""
     u: Floats
 
-    def __getitem__(self, which: Any) -> Pixels:
-        return Pixels(self.x_mm[which], self.y_mm[which], self.values[which], self.u[which])
+    def __getitem__(self, which: Any) -> PixelValues:
+        return PixelValues(self.x_mm[which], self.y_mm[which], self.values[which], self.u[which])
 
-    def only(self, points: npt.NDArray[np.bool_]) -> Pixels:
+    def only(self, points: npt.NDArray[np.bool_]) -> PixelValues:
         """Without the values at other points."""
         return replace(self, values=np.where(points, self.values, np.nan))
 
 
 @dataclass(frozen=True)
-class Material:
+class MapMaterial:
     """A model that pixels share."""
 
     values: Floats
-    """Of the free parameters, in the order of `Plan.columns`."""
+    """Of the free parameters, in the order of `PixelPlan.columns`."""
     u: Floats
     chi_square: float
     """A degree of freedom, of the joint fit."""
@@ -77,7 +77,7 @@ class Material:
 class Mixture:
     """Finds materials of pixels under a plan."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: PixelPlan) -> None:
         self._plan, self._plans = plan, (plan, *plan.others)
         self._ends = np.cumsum([len(one.points) for one in self._plans])
         self._common = np.concatenate([one.common for one in self._plans], axis=1)
@@ -88,7 +88,7 @@ class Mixture:
         self._most = min(max(most, 4), MOST_TOGETHER)
         self._problem = pose(FitRequest(plan.model, fix={n: v for n, v in plan.fixed.items() if n not in ("ior", "k")}))
 
-    def together(self, pixels: Pixels) -> Material:
+    def together(self, pixels: PixelValues) -> MapMaterial:
         """One model fitted to all values of some pixels."""
         plan, count = self._plan, len(pixels.x_mm)
         some = pixels[np.unique(np.linspace(0, count - 1, min(count, self._most)).astype(int))]
@@ -110,12 +110,12 @@ class Mixture:
         if not np.isfinite(of_free).all():
             raise DataError("a material has too few values to be fitted; ask for fewer --materials")
         freedom = found[0].used[0] - len(plan.columns)
-        return Material(of_free, of_u, float(found[0].chi_square[0] / freedom), [self._model(one) for one in values])
+        return MapMaterial(of_free, of_u, float(found[0].chi_square[0] / freedom), [self._model(one) for one in values])
 
     def _model(self, values: dict[str, float]) -> Any:
         return self._problem.make(self._problem.family.arguments({**self._problem.fixed, **values}))
 
-    def chi_square(self, pixels: Pixels, material: Material) -> Floats:
+    def chi_square(self, pixels: PixelValues, material: MapMaterial) -> Floats:
         """Chi-square of each pixel's values with the model of a material (P,)."""
         spots = np.stack([pixels.x_mm, pixels.y_mm, np.zeros_like(pixels.x_mm)], axis=1)[:, None]
         of_each = []
@@ -134,13 +134,13 @@ class Mixture:
             total -= np.einsum("pr,pr->p", seen, np.linalg.solve(inner, seen[..., None])[..., 0])
         return np.asarray(total)
 
-    def nearest(self, pixels: Pixels, materials: list[Material]) -> tuple[Whole, Floats]:
+    def nearest(self, pixels: PixelValues, materials: list[MapMaterial]) -> tuple[Whole, Floats]:
         """The material of each pixel, and its chi-square there."""
         every = np.array([self.chi_square(pixels, one) for one in materials])
         best = every.argmin(axis=0)
         return best, every[best, np.arange(best.size)]
 
-    def found(self, pixels: Pixels, own: Floats, u: Floats, count: int) -> list[Material]:
+    def found(self, pixels: PixelValues, own: Floats, u: Floats, count: int) -> list[MapMaterial]:
         """`count` materials of some pixels, or fewer where one loses its last pixel; the largest first."""
         member = _k_means(own, u, count)
         for _ in range(TURNS):
@@ -152,7 +152,7 @@ class Mixture:
                 break
         return materials
 
-    def left_out(self, pixels: Pixels, materials: list[Material]) -> Floats:
+    def left_out(self, pixels: PixelValues, materials: list[MapMaterial]) -> Floats:
         """Chi-square of each pixel's values, each half of the points predicted by the material of the other half."""
         odd = np.arange(pixels.values.shape[1]) % 2 == 1
         total = np.zeros(len(pixels.x_mm))
@@ -199,7 +199,7 @@ def _grouped(own: Floats, weight: Floats, count: int, rng: np.random.Generator) 
 
 
 def variables(
-    map_file: MapFile, parts: Parts, plan: Plan, count: int | None, say: Callable[[str], None]
+    map_file: MapFile, parts: Parts, plan: PixelPlan, count: int | None, say: Callable[[str], None]
 ) -> tuple[dict[str, int], dict[str, Variable]]:
     """Dimensions and variables of the materials of a map whose tiles are fitted.
 
@@ -240,7 +240,7 @@ def variables(
 
 
 def _layout(
-    plan: Plan, materials: list[Material], member: npt.NDArray[np.int16], chi: npt.NDArray[np.float32]
+    plan: PixelPlan, materials: list[MapMaterial], member: npt.NDArray[np.int16], chi: npt.NDArray[np.float32]
 ) -> dict[str, Variable]:
     each, yx = ("material",), ("y", "x")
     out = {
@@ -259,15 +259,15 @@ def _layout(
     return out
 
 
-def _pixels(map_file: MapFile, tile: Tile, plan: Plan) -> Pixels:
+def _pixels(map_file: MapFile, tile: Tile, plan: PixelPlan) -> PixelValues:
     """Those of a tile, with the values of all wavelengths."""
     places = read_tile(map_file, tile)
-    bands = [Pixels(*places.values(one.points)) for one in (plan, *plan.others)]
+    bands = [PixelValues(*places.values(one.points)) for one in (plan, *plan.others)]
     values, u = (np.concatenate([getattr(band, name) for band in bands], axis=1) for name in ("values", "u"))
     return replace(bands[0], values=values, u=u)
 
 
-def _drawn(map_file: MapFile, parts: Parts, plan: Plan) -> tuple[Pixels, Floats, Floats]:
+def _drawn(map_file: MapFile, parts: Parts, plan: PixelPlan) -> tuple[PixelValues, Floats, Floats]:
     """Some pixels whose parameters are known, evenly drawn over the map, with parameters and uncertainties."""
 
     def known(tile: Tile) -> tuple[Whole, Floats, Floats]:
@@ -292,10 +292,10 @@ def _drawn(map_file: MapFile, parts: Parts, plan: Plan) -> tuple[Pixels, Floats,
     if not pixels:
         raise DataError(f"{map_file.path}: no pixel has all its parameters known: there are no materials to find")
     joined = (np.concatenate([getattr(one, name) for one in pixels]) for name in ("x_mm", "y_mm", "values", "u"))
-    return Pixels(*joined), np.concatenate(owns), np.concatenate(us)
+    return PixelValues(*joined), np.concatenate(owns), np.concatenate(us)
 
 
-def _best_count(mixture: Mixture, pixels: Pixels, own: Floats, u: Floats, say: Callable[[str], None]) -> int:
+def _best_count(mixture: Mixture, pixels: PixelValues, own: Floats, u: Floats, say: Callable[[str], None]) -> int:
     """The smallest number of materials that predicts as well as any, to one standard error of the difference."""
     train = np.random.default_rng(1).permutation(len(own)) % 2 == 0
     scores = []

@@ -29,7 +29,7 @@ Arrays = dict[str, npt.NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
-class Plan:
+class PixelPlan:
     """What is fitted, and where from it is seen: all that a pixel's fit depends on besides its place and values."""
 
     model: str
@@ -55,7 +55,7 @@ class Plan:
     notes: tuple[str, ...]
     geometry: tuple[str, ...] = ()
     """Free parameters that are the same at all wavelengths."""
-    others: tuple[Plan, ...] = ()
+    others: tuple[PixelPlan, ...] = ()
     """What is fitted together with it: the same model at other wavelengths."""
 
     @property
@@ -93,7 +93,7 @@ class Plan:
         return [(a, b) for a, b in self.pairs if not {self.free[a], self.free[b]} <= set(self.geometry)]
 
 
-def plan(map_file: MapFile, asked: FitRequest) -> Plan:
+def plan(map_file: MapFile, asked: FitRequest) -> PixelPlan:
     """What a request comes to for a map.
 
     Raises
@@ -119,7 +119,7 @@ def plan(map_file: MapFile, asked: FitRequest) -> Plan:
     return replace(made, notes=(*problem.notes, *notes), geometry=same, others=together)
 
 
-def _at(map_file: MapFile, asked: FitRequest, points: npt.NDArray[np.intp], wavelength: float) -> Plan:
+def _at(map_file: MapFile, asked: FitRequest, points: npt.NDArray[np.intp], wavelength: float) -> PixelPlan:
     """What a request comes to at one wavelength."""
     model, problem = batch.require(asked.model), pose(asked)
     known = {name: value for name, value in problem.fixed.items() if name in model.names}
@@ -138,7 +138,7 @@ def _at(map_file: MapFile, asked: FitRequest, points: npt.NDArray[np.intp], wave
     common = np.array([changes[points] for changes in map_file.causes.values()]).reshape(-1, len(points))
     u_point = map_file.array("u_point").astype(float)[points] if "u_point" in map_file.names else np.zeros(len(points))
     cuts = np.array(groupings(Directions.from_vectors(source, camera)), np.int64)
-    return Plan(
+    return PixelPlan(
         asked.model, known, free, tuple(row.unit or "1" for row in rows), bounds[:, 0], bounds[:, 1], log, wavelength,
         points, source, camera, common, u_point, cuts, (),
     )  # fmt: skip
@@ -207,7 +207,7 @@ def read_tile(map_file: MapFile, tile: Tile) -> Places:
     return Places(map_file.x_mm[tile.cols], map_file.y_mm[tile.rows], map_file.held(tile))
 
 
-def fit_tile(plan: Plan, pixels: Places) -> Arrays:
+def fit_tile(plan: PixelPlan, pixels: Places) -> Arrays:
     """The arrays of a tile of a file of fits."""
     plans = (plan, *plan.others)
     bands = []
@@ -231,7 +231,7 @@ def fit_tile(plan: Plan, pixels: Places) -> Arrays:
     return {name: array.reshape(*pixels.shape, *array.shape[1:]) for name, array in out.items()}
 
 
-def _judged(plan: Plan, fits: batch.Fits) -> Arrays:
+def _judged(plan: PixelPlan, fits: batch.Fits) -> Arrays:
     """Parameters with what is to be known of them; what is not determined is NaN."""
     found = fits.values[:, [fits.names.index(name) for name in plan.free]]
     error = fits.u

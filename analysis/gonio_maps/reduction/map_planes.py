@@ -23,7 +23,7 @@ from gonio.lab.reduction import merging
 from gonio.lab.reduction.count_rates import RunFrames, lit_frames, without_dark
 from gonio.lab.reduction.dark_signal import Darks
 from gonio.lab.reduction.merging import SATURATED, Region, bound
-from gonio.lab.reduction.stray_light import Spread
+from gonio.lab.reduction.stray_light import SpreadLight
 from gonio.lab.rig import Frame, imaging, light_and_camera
 from gonio.lab.rig.imaging import Channel, pixel_map
 from gonio.lab.rig.kinematics import View
@@ -95,7 +95,7 @@ class Lit:
     frame: Frame
     full_dn: float
     """Full scale above the black level."""
-    spread: Spread | None
+    spread: SpreadLight | None
     effective_s: float
     """Exposure, times the lamp's level against that of the table's rate."""
     u_level: float
@@ -260,7 +260,7 @@ class Planes:
         ]
 
     def _signal(
-        self, frame: Frame, full_dn: float, spread: Spread | None, rows: slice, cols: slice
+        self, frame: Frame, full_dn: float, spread: SpreadLight | None, rows: slice, cols: slice
     ) -> tuple[Floats, Floats]:
         """Electrons of the light in a rectangle, and raw levels as fractions of full scale."""
         camera = self.camera

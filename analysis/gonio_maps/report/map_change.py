@@ -30,7 +30,7 @@ from gonio_analysis.report.text import number, percent, with_u
 from gonio import lost
 from gonio_maps.pixel_by_pixel import MapChange, ParameterChange, change
 from gonio_maps.report import map_layers
-from gonio_maps.report.map_layers import Grid, Real, block_medians, facts_of_grid, labelled
+from gonio_maps.report.map_layers import MapPixels, Real, block_medians, facts_of_grid, labelled
 
 FIGURES = 6
 """Figures that a comparison has, about."""
@@ -125,7 +125,7 @@ def _summary(c: MapChange, specs: Sequence[str], made: Stamp) -> dict[str, objec
         "a": specs[0],
         "b": specs[1],
         "model": c.model,
-        **facts_of_grid(Grid(c.x_mm, c.y_mm)),
+        **facts_of_grid(MapPixels(c.x_mm, c.y_mm)),
         "pixels": c.changed.size,
         "compared": c.compared,
         "changed": int(c.changed.sum()),
@@ -140,7 +140,7 @@ def _title(specs: Sequence[str]) -> str:
 
 
 def _drawings(c: MapChange) -> list[Drawing]:
-    grid = Grid(c.x_mm, c.y_mm)
+    grid = MapPixels(c.x_mm, c.y_mm)
     kind = np.where(c.freedom == 0, -1, c.changed.astype(np.intp))
     words = "Changed: pixels whose parameters together changed. Grey: nothing to compare."
     out = [map_layers.kinds(grid, "changed", words, kind, ["not changed", "changed"])]

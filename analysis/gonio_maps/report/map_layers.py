@@ -35,14 +35,14 @@ SEVERE = ("too_few", "undetermined", "rejected", "at_bound")
 
 
 @dataclass(frozen=True)
-class Grid:
+class MapPixels:
     """The pixels of a map."""
 
     x_mm: Floats
     y_mm: Floats
 
     @classmethod
-    def of(cls, file: MapFile) -> Grid:
+    def of(cls, file: MapFile) -> MapPixels:
         """Of a map file."""
         return cls(file.x_mm, file.y_mm)
 
@@ -80,7 +80,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Spread:
+class LayerSpread:
     """How the values of a layer spread over the pixels where they are determined."""
 
     determined: int
@@ -115,12 +115,12 @@ class Layer:
 
     name: str
     unit: str
-    spread: Spread
+    spread: LayerSpread
     picture: Floats
     """Medians of blocks, x and y ascending."""
     picture_u: Floats | None
     embedded: Floats
-    """Single pixels, as the file has them (`Grid.embedded`)."""
+    """Single pixels, as the file has them (`MapPixels.embedded`)."""
     embedded_u: Floats | None
 
     @property
@@ -159,14 +159,14 @@ class Materials:
     """Their parameters."""
 
 
-def facts_of_grid(grid: Grid) -> dict[str, object]:
+def facts_of_grid(grid: MapPixels) -> dict[str, object]:
     """Size of a map, for summary.json."""
     rows, cols = grid.shape
     left, right, low, high = grid.extent
     return {"rows": rows, "columns": cols, "pixel_mm": grid.pixel_mm, "width_mm": right - left, "height_mm": high - low}
 
 
-def pixels_of(grid: Grid) -> str:
+def pixels_of(grid: MapPixels) -> str:
     """Size of a map, in words."""
     rows, cols = grid.shape
     left, right, low, high = grid.extent
@@ -181,7 +181,7 @@ def labelled(name: str, unit: str) -> str:
     return name.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
-def layer(grid: Grid, name: str, unit: str, value: Real, u: Real | None = None) -> Layer:
+def layer(grid: MapPixels, name: str, unit: str, value: Real, u: Real | None = None) -> Layer:
     """What a page shows of values (rows, columns), NaN where they are not determined."""
     rows, cols = grid.embedded()
     at = np.ix_(rows, cols)
@@ -191,21 +191,21 @@ def layer(grid: Grid, name: str, unit: str, value: Real, u: Real | None = None) 
     )  # fmt: skip
 
 
-def spread(value: Real, u: Real | None = None) -> Spread:
+def spread(value: Real, u: Real | None = None) -> LayerSpread:
     """How values spread; of none all is NaN."""
     known = value[np.isfinite(value)]
     typical = u[np.isfinite(u)] if u is not None else np.empty(0)
     if not known.size:
         none = float("nan")
-        return Spread(0, none, none, none, none, none, none, np.array([0.0, 1.0]), np.zeros(1, np.intp))
+        return LayerSpread(0, none, none, none, none, none, none, np.array([0.0, 1.0]), np.zeros(1, np.intp))
     low, median, high = np.quantile(known, (QUANTILES[0], 0.5, QUANTILES[1])).tolist()
     ends = (low, high) if high > low else (low - 1e-3 * (abs(low) or 1.0), low + 1e-3 * (abs(low) or 1.0))
     counts, edges = np.histogram(known, BINS, ends)
     typical_u = float(np.median(typical)) if typical.size else float("nan")
-    return Spread(known.size, median, low, high, float(known.min()), float(known.max()), typical_u, edges, counts)
+    return LayerSpread(known.size, median, low, high, float(known.min()), float(known.max()), typical_u, edges, counts)
 
 
-def block_medians(grid: Grid, value: Real) -> Floats:
+def block_medians(grid: MapPixels, value: Real) -> Floats:
     """A picture of at most `PICTURE` pixels along a side: medians of what is determined in square blocks."""
     step, upright = grid.step(PICTURE), grid.up(value)
     if step == 1:
@@ -222,7 +222,7 @@ def block_medians(grid: Grid, value: Real) -> Floats:
     return out
 
 
-def picture_of(grid: Grid, kind: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+def picture_of(grid: MapPixels, kind: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     """Categories as a picture: one pixel of every block."""
     step = grid.step(PICTURE)
     first = (step - 1) // 2
@@ -234,7 +234,7 @@ def picture_of(grid: Grid, kind: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
 
 def of_fits(file: FitFile, say: Callable[[str], None] = lambda text: None) -> list[Layer]:
     """Every parameter, then the misfit."""
-    grid, out = Grid.of(file), []
+    grid, out = MapPixels.of(file), []
     for name in file.parameters:
         say(f"reading {name}")
         out.append(layer(grid, name, file.unit(name), *file.parameter(name)))
@@ -287,7 +287,7 @@ COLUMNS = 3
 """Histograms in a row."""
 
 
-def draw(grid: Grid, layers: Sequence[Layer]) -> list[Drawing]:
+def draw(grid: MapPixels, layers: Sequence[Layer]) -> list[Drawing]:
     """Maps of layers, each with that of its uncertainty, then their histograms."""
     out, files = [], model_slugs(one.name for one in layers)
     for one in layers:
@@ -302,14 +302,14 @@ def draw(grid: Grid, layers: Sequence[Layer]) -> list[Drawing]:
     return [*out, *([_histograms(shown)] if shown else [])]
 
 
-def kinds(grid: Grid, name: str, caption: str, kind: npt.NDArray[np.intp], names: Sequence[str]) -> Drawing:
+def kinds(grid: MapPixels, name: str, caption: str, kind: npt.NDArray[np.intp], names: Sequence[str]) -> Drawing:
     """A map of categories, below 0 where there is none."""
     every = f" Every {_nth(grid.step(256))} pixel." if grid.step(256) > 1 else ""
     on = partial(_on_kinds, kind=picture_of(grid, kind), extent=grid.extent, names=list(names))
     return Drawing(f"map-{name}", "map", "", caption + every, caption, _inches(grid), on)
 
 
-def signed(grid: Grid, name: str, caption: str, value: Floats, label: str, top: float) -> Drawing:
+def signed(grid: MapPixels, name: str, caption: str, value: Floats, label: str, top: float) -> Drawing:
     """A map of values about 0, their colours saturated at +-`top`."""
     inches = _inches(grid)
     on = partial(
@@ -323,14 +323,14 @@ def _limits(one: Layer) -> tuple[float, float]:
     return one.spread.low, one.spread.high
 
 
-def _share(grid: Grid, one: Layer) -> str:
+def _share(grid: MapPixels, one: Layer) -> str:
     total = grid.shape[0] * grid.shape[1]
     missing = total - one.spread.determined
     return f" Grey: not determined, {missing} of {total} pixels." if missing else ""
 
 
 def _map(
-    grid: Grid, name: str, value: Floats, label: str, limits: tuple[float, float], colours: str, more: str = ""
+    grid: MapPixels, name: str, value: Floats, label: str, limits: tuple[float, float], colours: str, more: str = ""
 ) -> Drawing:
     low, high = limits
     logarithmic = bool(low > 0 and high > DECADE * low)
@@ -352,7 +352,7 @@ def _nth(step: int) -> str:
     return {2: "second", 3: "third"}.get(step, f"{step}th")
 
 
-def _inches(grid: Grid) -> tuple[float, float]:
+def _inches(grid: MapPixels) -> tuple[float, float]:
     """Width and height of a figure that holds a map of this shape."""
     _, _, high = _size(grid.extent)
     return WIDE_IN, high + BELOW_IN + ABOVE_IN

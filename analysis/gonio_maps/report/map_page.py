@@ -43,7 +43,7 @@ from gonio.geometry import Directions
 from gonio.threads import in_threads
 from gonio_maps.files import FLAGS, FitFile, MapFile, Tile
 from gonio_maps.report import map_layers, map_view
-from gonio_maps.report.map_layers import SEVERE, Grid, Layer, Materials, Real, Told
+from gonio_maps.report.map_layers import SEVERE, Layer, MapPixels, Materials, Real, Told
 
 SHOWN = 4
 """Points that have a map of their own."""
@@ -67,7 +67,7 @@ class _Found:
 def _of_values(path: Path, progress: Callable[[str], None]) -> Told:
     """What the page says of a map of values."""
     with MapFile(path) as file:
-        grid, at = Grid.of(file), _directions(file)
+        grid, at = MapPixels.of(file), _directions(file)
         shown = _shown(at)
         progress(f"reading {path}")
         found = _read(file, shown)
@@ -102,7 +102,7 @@ def _of_values(path: Path, progress: Callable[[str], None]) -> Told:
 
 
 def _drawings(
-    grid: Grid, layers: Sequence[Layer], caption: str, kind: npt.NDArray[np.intp], names: Sequence[str],
+    grid: MapPixels, layers: Sequence[Layer], caption: str, kind: npt.NDArray[np.intp], names: Sequence[str],
     materials: Materials | None = None,
 ) -> list[Drawing]:  # fmt: skip
     """Maps of layers and flags, histograms, and the map of materials; none where a page lost them."""
@@ -176,7 +176,7 @@ def _read(file: MapFile, shown: list[int]) -> _Found:
     return _Found(brdf, u, usable, relative, dict(zip(FLAGS, counts.tolist(), strict=True)))
 
 
-def _facts(file: MapFile, grid: Grid) -> list[tuple[str, str]]:
+def _facts(file: MapFile, grid: MapPixels) -> list[tuple[str, str]]:
     """Size, points, blur and registration."""
     rows = [("file", str(file.path)), ("pixels", map_layers.pixels_of(grid))]
     tilt = np.unique(np.round(file.array("theta_i_deg").astype(float), 1))
@@ -271,7 +271,7 @@ def make(
 
 def _of_fits(path: Path, values: Path | None, progress: Callable[[str], None]) -> Told:
     with FitFile(path) as file:
-        grid = Grid.of(file)
+        grid = MapPixels.of(file)
         layers = map_layers.of_fits(file, progress)
         counts, kind = map_layers.flag_counts(file), map_layers.gravest(file)
         caption = "Flags: the gravest of each pixel. " + "; ".join(f"{_said(k)}, {n}" for k, n in counts.items() if n)
@@ -311,7 +311,7 @@ def _said(flag: str) -> str:
     return flag.replace("_", " ")
 
 
-def _conclusion(file: FitFile, grid: Grid, layers: Sequence[Layer], counts: dict[str, int]) -> str:
+def _conclusion(file: FitFile, grid: MapPixels, layers: Sequence[Layer], counts: dict[str, int]) -> str:
     total = grid.shape[0] * grid.shape[1]
     own = [one for one in layers if one.name in file.parameters]
     fitted = max((one.spread.determined for one in own), default=0)

@@ -14,7 +14,7 @@ from gonio_analysis.plots import pixels
 from gonio.geometry import Directions
 from gonio.typing import Floats
 from gonio_maps.files import MapFile
-from gonio_maps.report.map_layers import Grid, Layer
+from gonio_maps.report.map_layers import Layer, MapPixels
 
 MEASURED_VALUES = 125_000
 """Most measured values on one page; each takes 4 bytes."""
@@ -37,7 +37,7 @@ View = dict[str, Any]
 
 
 def of(
-    grid: Grid, layers: Sequence[Layer], kind: npt.NDArray[np.intp], names: Sequence[str], *, model: str,
+    grid: MapPixels, layers: Sequence[Layer], kind: npt.NDArray[np.intp], names: Sequence[str], *, model: str,
     fixed: dict[str, float], values: MapFile | None = None, wavelength_nm: float | None = None,
 ) -> View:  # fmt: skip
     """The data of the page's program.

@@ -7,7 +7,7 @@ import numpy as np
 
 from gonio.shown import finite
 from gonio.typing import Floats
-from gonio_validation.bench.quantity import SETS, ErrorSummary, Quantity, Sample, Set, Way
+from gonio_validation.bench.quantity import SETS, BenchQuantity, BenchSample, ErrorSummary, Set, Way
 
 NOTHING = 1e-290
 """References below this count as 0."""
@@ -25,7 +25,7 @@ class Errors:
     warned: bool
 
 
-def errors(way: Way, samples: list[Sample]) -> Errors:
+def errors(way: Way, samples: list[BenchSample]) -> Errors:
     """Evaluate a way on reference samples."""
     got, value, condition = [], [], []
     with warnings.catch_warnings(record=True) as caught:
@@ -57,7 +57,7 @@ def summarise(e: Errors) -> ErrorSummary:
     )
 
 
-def by_set(quantity: Quantity, way: Way) -> dict[Set, ErrorSummary]:
+def by_set(quantity: BenchQuantity, way: Way) -> dict[Set, ErrorSummary]:
     """Errors of a way on each set of the quantity's samples; none where its results are not comparable."""
     found: dict[Set, ErrorSummary] = {}
     for kind in SETS:

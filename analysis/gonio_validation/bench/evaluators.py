@@ -14,13 +14,13 @@ from gonio.models._facets import fresnel_constants
 from gonio.typing import Floats
 from gonio_validation.bench import naive, specification
 from gonio_validation.bench.quantity import (
+    BenchQuantity,
+    BenchSample,
     Evaluate,
     FresnelValues,
     Inputs,
     ModelValues,
     Parameters,
-    Quantity,
-    Sample,
     Set,
     Way,
     directions,
@@ -32,7 +32,7 @@ from gonio_validation.bench.quantity import (
 EVEN = "directions even over the hemisphere"
 
 
-def quantities() -> list[Quantity]:
+def quantities() -> list[BenchQuantity]:
     """Every quantity, with every way that runs in this process (for others see `gonio_validation.bench.peers`)."""
     r = reference()
     return [
@@ -107,7 +107,7 @@ def _mueller(p: Parameters) -> Evaluate:
     return lambda *angles: model.mueller(*angles, wavelength_nm=p["wavelength_nm"])[..., 0, 0]
 
 
-def _he_torrance() -> list[Quantity]:
+def _he_torrance() -> list[BenchQuantity]:
     one, blocks = naive.from_one, naive.from_one_vectorised
     public = "from m = 1, pair by pair, as public code has it; vectorised: term by term over blocks of pairs"
     ways = (
@@ -129,7 +129,7 @@ def _he_torrance() -> list[Quantity]:
     whole = samples(reference().he_torrance, {"whole": "grid", "hard": "hard"})
     about = "The unpolarised lobe with Smith's shadowing; the ways differ in how they sum the series S(g, c). "
     return [
-        Quantity(
+        BenchQuantity(
             "he-torrance common",
             "He-Torrance, common range (g < 90)",
             about + "σ0 = 0.28 µm, τ = 1.77 µm, 500 nm: g up to 49.5.",
@@ -138,7 +138,7 @@ def _he_torrance() -> list[Quantity]:
             EVEN,
             (*ways, *more),
         ),
-        Quantity(
+        BenchQuantity(
             "he-torrance whole",
             "He-Torrance, whole domain",
             about
@@ -179,32 +179,32 @@ def _vectors_and_angles(build: Callable[[Parameters], Any]) -> tuple[Way, ...]:
 
 def _closed(
     name: str, values: list[ModelValues], title: str, about: str, build: Callable[[Parameters], Any], form: Any
-) -> Quantity:
+) -> BenchQuantity:
     found = samples(values, {"grid": "grid", "hard": "hard"})
     first = next(s for s in found if s.kind == "grid")
     ways = (
         *_vectors_and_angles(build),
         Way("plain numpy", _over_plain(form), note="the specification, written to be read"),
     )
-    return Quantity(name, title, about, found, _split([first.parameters]), EVEN, ways)
+    return BenchQuantity(name, title, about, found, _split([first.parameters]), EVEN, ways)
 
 
-def _lambert() -> Quantity:
+def _lambert() -> BenchQuantity:
     grid = samples(reference().cook_torrance, {"grid": "grid"})[0]
     p = {"albedo": 0.5}
     value = np.full(grid.value.shape, 0.5 / math.pi)
-    return Quantity(
+    return BenchQuantity(
         "lambert",
         "Lambert",
         "A constant: what reading the arrays, checking them and writing the result cost.",
-        (Sample("grid", p, grid.arrays, value, 0.0 * value, grid.cases),),
+        (BenchSample("grid", p, grid.arrays, value, 0.0 * value, grid.cases),),
         _split([p]),
         EVEN,
         _vectors_and_angles(lambda p: Lambert(**p)),
     )
 
 
-def _oren_nayar() -> Quantity:
+def _oren_nayar() -> BenchQuantity:
     r = reference().oren_nayar_exact
     theta_i, theta_r, dphi, sigma, rho, value = (
         np.array(x) for x in (r.theta_i, r.theta_r, r.phi, r.sigma, r.rho, r.value)
@@ -215,12 +215,12 @@ def _oren_nayar() -> Quantity:
         source, viewer = geometry.Directions(theta_i[here], 0.0, theta_r[here], dphi[here]).vectors
         p = {"albedo": albedo, "sigma_deg": math.degrees(slope)}
         none, cases = np.zeros(np.count_nonzero(here)), ("",) * int(np.count_nonzero(here))
-        found.append(Sample("grid", p, (source, viewer), value[here], none, cases))
+        found.append(BenchSample("grid", p, (source, viewer), value[here], none, cases))
 
     def way(form: str, note: str, stated: float | None = None) -> Way:
         return Way(form, lambda p: OrenNayar(**p, form=form).brdf_vectors, True, note, stated=stated)
 
-    return Quantity(
+    return BenchQuantity(
         "oren-nayar exact",
         "Oren-Nayar, against the exact integral",
         "Reference: the V-groove integral with two bounces by quadruple-precision quadrature. For the functional and "
@@ -243,12 +243,12 @@ def _over_pairs(kernel: Any, constants: tuple[float, ...], first: Floats) -> Flo
     return out
 
 
-def _fresnel() -> Quantity:
+def _fresnel() -> BenchQuantity:
     r = reference()
 
-    def over_cosines(values: list[FresnelValues], kind: Set) -> tuple[Sample, ...]:
+    def over_cosines(values: list[FresnelValues], kind: Set) -> tuple[BenchSample, ...]:
         return tuple(
-            Sample(
+            BenchSample(
                 kind,
                 {"n": f.n, "k": f.k},
                 (np.array(f.cos),),
@@ -272,7 +272,7 @@ def _fresnel() -> Quantity:
 
         return prepare
 
-    return Quantity(
+    return BenchQuantity(
         "fresnel",
         "Fresnel reflectance",
         "Unpolarised, for copper-like (three wavelengths), aluminium-like and glass-like indices, every 5 degrees. "
@@ -296,19 +296,19 @@ def _fresnel() -> Quantity:
     )
 
 
-def _roughness() -> Quantity:
+def _roughness() -> BenchQuantity:
     r = reference().roughness
     k, value = np.array(r.K), np.array(r.value)
     grid = (k >= 1e-4) & (k <= 1e10)
 
-    def over_k(kind: Set, here: Any) -> Sample:
+    def over_k(kind: Set, here: Any) -> BenchSample:
         cases = tuple(f"K = {x:.3g}" for x in k[here])
-        return Sample(kind, {}, (k[here],), value[here], np.zeros(len(cases)), cases)
+        return BenchSample(kind, {}, (k[here],), value[here], np.zeros(len(cases)), cases)
 
     def kernel(function: Any, *constants: float) -> Callable[[Parameters], Evaluate]:
         return lambda p: lambda k: _over_pairs(function, (*constants, 0.0), k)
 
-    return Quantity(
+    return BenchQuantity(
         "roughness",
         "Effective roughness",
         "sigma/sigma0 as a function of K = K_i + K_r (eqs. 80 to 82).",

@@ -12,7 +12,7 @@ import numpy as np
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, fresnel, htsg
 from gonio.typing import JsonObject
 from gonio_validation.bench.accuracy import NOTHING
-from gonio_validation.bench.quantity import Quantity, Sample, directions, reference
+from gonio_validation.bench.quantity import BenchQuantity, BenchSample, directions, reference
 
 EXACT = 16.0
 """Digits where results are identical."""
@@ -81,7 +81,7 @@ class _Case:
         }
 
 
-def judged(found: list[Quantity], huge: int) -> list[JsonObject]:
+def judged(found: list[BenchQuantity], huge: int) -> list[JsonObject]:
     """Every hard case.
 
     Parameters
@@ -109,7 +109,7 @@ def judged(found: list[Quantity], huge: int) -> list[JsonObject]:
     return [case.summary(name) for name, case in cases.items()]
 
 
-def _named(quantity: str, s: Sample) -> Iterable[tuple[str, Any]]:
+def _named(quantity: str, s: BenchSample) -> Iterable[tuple[str, Any]]:
     """Names of cases, and which points of the sample belong to them."""
     if quantity == "fresnel":
         n, k = s.parameters["n"], s.parameters["k"]

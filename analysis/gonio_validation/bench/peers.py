@@ -39,7 +39,7 @@ LLVM = "DRJIT_LIBLLVM_PATH"
 
 
 @dataclass(frozen=True)
-class Peer:
+class PeerProgram:
     """A program that was found to work here."""
 
     name: str
@@ -61,7 +61,7 @@ QUANTITY = "cook-torrance"
 """What the peers evaluate."""
 
 
-def find() -> tuple[list[JsonObject], list[Peer]]:
+def find() -> tuple[list[JsonObject], list[PeerProgram]]:
     """What was found of each peer, in words, and those that work."""
     words, found = list[JsonObject](), []
     for peer, package in PACKAGES.items():
@@ -70,12 +70,12 @@ def find() -> tuple[list[JsonObject], list[Peer]]:
         else:
             state, environment = _usable(peer)
             if environment is not None:
-                found.append(Peer(peer, _ways()[peer], environment))
+                found.append(PeerProgram(peer, _ways()[peer], environment))
         words.append({"peer": f"{peer} {_version(package)}".strip(), "state": state})
     return words, found
 
 
-def measured(peer: Peer, effort: timing.Effort) -> MeasuredPeer:
+def measured(peer: PeerProgram, effort: timing.Effort) -> MeasuredPeer:
     """Measure a peer in a process of its own.
 
     Raises

@@ -23,7 +23,7 @@ Inputs = list[tuple[Parameters, tuple[Floats, ...]]]
 
 
 @dataclass(frozen=True)
-class Sample:
+class BenchSample:
     """Reference values of one set of parameters: what a way is given, and what it should say."""
 
     kind: Set
@@ -53,13 +53,13 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class BenchQuantity:
     """A quantity, its reference samples, inputs to time it with, and ways of evaluating it."""
 
     name: str
     title: str
     about: str
-    samples: tuple[Sample, ...]
+    samples: tuple[BenchSample, ...]
     timed: Callable[[int], Inputs]
     """Parameters and arrays for about a given number of evaluations."""
     inputs: str
@@ -262,10 +262,10 @@ def reference() -> ReferenceValues:
     return ReferenceValues.model_validate_json(text)
 
 
-def samples(groups: list[ModelValues], wanted: Mapping[str, Set]) -> tuple[Sample, ...]:
+def samples(groups: list[ModelValues], wanted: Mapping[str, Set]) -> tuple[BenchSample, ...]:
     """Samples over vectors; `wanted` says which of the file's sets, and what each is to the bench."""
     return tuple(
-        Sample(
+        BenchSample(
             wanted[g.set],
             g.parameters,
             (np.array(g.omega_i), np.array(g.omega_r)),

@@ -11,7 +11,7 @@ from gonio_analysis.report.files import write_csv
 from gonio.typing import JsonObject
 from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, timing
 from gonio_validation.bench.page import begun
-from gonio_validation.bench.quantity import Quantity, QuantitySummary, Set, WaySummary, reference
+from gonio_validation.bench.quantity import BenchQuantity, QuantitySummary, Set, WaySummary, reference
 
 POINT_COLUMNS = (
     *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),
@@ -83,7 +83,7 @@ def collect(
     }
 
 
-def _measured(quantity: Quantity, others: Sequence[peers.Peer], effort: timing.Effort) -> QuantitySummary:
+def _measured(quantity: BenchQuantity, others: Sequence[peers.PeerProgram], effort: timing.Effort) -> QuantitySummary:
     """Errors and times of all ways, those of peers included."""
     taken = timing.times(quantity, effort)
     ways = [*quantity.ways, *(peer.way for peer in others)]

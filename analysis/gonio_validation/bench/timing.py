@@ -15,7 +15,7 @@ import numpy as np
 from gonio import models
 from gonio.models import engine
 from gonio.typing import JsonObject
-from gonio_validation.bench.quantity import Inputs, Quantity, TimeSummary, Way, directions
+from gonio_validation.bench.quantity import BenchQuantity, Inputs, TimeSummary, Way, directions
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Effort:
     """How long one repeat of one way may take [s]: a way that needs longer gets fewer pairs."""
 
 
-def times(quantity: Quantity, effort: Effort) -> dict[str, TimeSummary]:
+def times(quantity: BenchQuantity, effort: Effort) -> dict[str, TimeSummary]:
     """Wall-clock and processor ns an evaluation of each way, all ways in turn within each repeat."""
     jobs: dict[str, tuple[Callable[[], None], int]] = {}
     few = min(effort.pairs, 1000)

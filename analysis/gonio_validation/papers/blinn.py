@@ -12,8 +12,8 @@ from gonio.models.blinn import PRESETS
 from gonio.typing import Floats
 from gonio_validation.papers.figure import (
     Claim,
+    FigureParameter,
     PaperFigure,
-    Parameter,
     Results,
     Row,
     agreed,
@@ -29,7 +29,7 @@ ALMOST, ALMOST_DEG = 0.1, 5.0
 
 
 @dataclass(frozen=True)
-class Surface:
+class BlinnParameters:
     """A set of parameters; Phong's exponent is the one that falls to one half at the same angle."""
 
     name: str
@@ -39,28 +39,28 @@ class Surface:
     beta_deg: float
 
 
-def surfaces() -> tuple[Surface, ...]:
+def surfaces() -> tuple[BlinnParameters, ...]:
     """What the figures may have been made with: the first one is drawn, all of them are judged."""
 
-    def preset(name: str) -> Surface:
+    def preset(name: str) -> BlinnParameters:
         p = PRESETS[name]
         c2 = p["c"] ** 2
         # D3 = 1/2 where cos^2 = (1 - sqrt(2) c3^2)/(1 - c3^2)
         beta = math.degrees(math.acos(math.sqrt((1.0 - math.sqrt(2.0) * c2) / (1.0 - c2))))
-        return Surface(f"{name} of Fig. 7", p["k_d"], p["k_s"], p["ior"], beta)
+        return BlinnParameters(f"{name} of Fig. 7", p["k_d"], p["k_s"], p["ior"], beta)
 
     metal = PRESETS["aluminium"]
     fifty = math.degrees(math.acos(0.5 ** (1.0 / 50.0)))
-    drawn = Surface("metal with c1 = 50", metal["k_d"], metal["k_s"], metal["ior"], fifty)
+    drawn = BlinnParameters("metal with c1 = 50", metal["k_d"], metal["k_s"], metal["ior"], fifty)
     return drawn, preset("aluminium"), preset("magnesium oxide")
 
 
-def exponent(surface: Surface) -> float:
+def exponent(surface: BlinnParameters) -> float:
     """c1 = -ln 2/ln cos(beta)."""
     return -math.log(2.0) / math.log(math.cos(math.radians(surface.beta_deg)))
 
 
-def highlights(surface: Surface, theta_i_deg: float, angle_deg: Floats) -> tuple[Floats, Floats]:
+def highlights(surface: BlinnParameters, theta_i_deg: float, angle_deg: Floats) -> tuple[Floats, Floats]:
     """s of Phong and of Torrance and Sparrow in the plane of incidence."""
 
     theta_r, phi_r = signed(angle_deg)
@@ -70,16 +70,17 @@ def highlights(surface: Surface, theta_i_deg: float, angle_deg: Floats) -> tuple
     return np.asarray(phong), np.asarray(facets)
 
 
-def _parameters(theta_i: float) -> list[Parameter]:
+def _parameters(theta_i: float) -> list[FigureParameter]:
     first = surfaces()[0]
     return [
-        Parameter("θi", f"{theta_i:g}°", "paper"),
-        Parameter("p_d, p_s, n", f"{first.p_d:g}, {first.p_s:g}, {first.ior:g}", "assumed",
+        FigureParameter("θi", f"{theta_i:g}°", "paper"),
+        FigureParameter("p_d, p_s, n", f"{first.p_d:g}, {first.p_s:g}, {first.ior:g}", "assumed",
                   "the figure has none; those of the aluminium of Fig. 7"),
-        Parameter("c1", "50", "assumed", "“typically 50 or 60”"),
-        Parameter("β", f"{first.beta_deg:.2f}°", "derived",
+        FigureParameter("c1", "50", "assumed", "“typically 50 or 60”"),
+        FigureParameter("β", f"{first.beta_deg:.2f}°", "derived",
                   "where cos^c1 falls to one half; D3 with the same β, as the paper compares distributions"),
-        Parameter("judged with", "; ".join(f"{s.name} (n = {s.ior:g}, β = {s.beta_deg:.1f}°)" for s in surfaces()),
+        FigureParameter("judged with",
+                  "; ".join(f"{s.name} (n = {s.ior:g}, β = {s.beta_deg:.1f}°)" for s in surfaces()),
                   "assumed", "a claim gets a verdict where all three agree"),
     ]  # fmt: skip
 
@@ -154,7 +155,7 @@ def _degrees(value: float) -> str:
     return "the horizon" if value >= 88.9 else f"{value:.1f}°"
 
 
-def _peaks(s: Surface, theta_i: float) -> tuple[float, float]:
+def _peaks(s: BlinnParameters, theta_i: float) -> tuple[float, float]:
     """Of the intensities: the peak of Torrance and Sparrow's over that of Phong's, and how far apart they are [deg]."""
     phong, facets = highlights(s, theta_i, _angles())
     diffuse = s.p_d * math.cos(math.radians(theta_i))
@@ -162,7 +163,7 @@ def _peaks(s: Surface, theta_i: float) -> tuple[float, float]:
     return float(height), _peak(_angles(), facets) - _peak(_angles(), phong)
 
 
-def _alike(s: Surface, theta_i: float) -> bool:
+def _alike(s: BlinnParameters, theta_i: float) -> bool:
     height, apart = _peaks(s, theta_i)
     return abs(height - 1.0) < ALMOST and abs(apart) < ALMOST_DEG
 

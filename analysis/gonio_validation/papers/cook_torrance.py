@@ -17,9 +17,9 @@ from gonio_validation.papers.figure import (
     WIDTH_IN,
     Claim,
     CurveRow,
+    FigureParameter,
     Panel,
     PaperFigure,
-    Parameter,
     Results,
     Trace,
     agreed,
@@ -46,13 +46,13 @@ def claims(figure: int) -> list[Claim]:
     return {3: cook_torrance_3.claims, 4: _claims_4, 5: _claims_5}[figure]()
 
 
-def copper() -> Parameter:
+def copper() -> FigureParameter:
     """The optical constants of all three figures."""
 
     source = (
         f"{materials.ior('Cu').source}; the paper took a measured reflectance (refs. 10, 17) that it does not print"
     )
-    return Parameter("copper, n + ik", "380 to 780 nm", "database", source)
+    return FigureParameter("copper, n + ik", "380 to 780 nm", "database", source)
 
 
 # --- Fig. 4: copper's spectrum ------------------------------------------------------------------------------------
@@ -135,9 +135,9 @@ def _spectrum() -> PaperFigure:
         PAPER,
         [
             copper(),
-            Parameter("illuminant", "CIE D6500", "database", D65_SOURCE),
-            Parameter("θi", "0°", "paper"),
-            Parameter(
+            FigureParameter("illuminant", "CIE D6500", "database", D65_SOURCE),
+            FigureParameter("θi", "0°", "paper"),
+            FigureParameter(
                 "colour",
                 "CIE 1931, linear RGB of the sRGB primaries",
                 "assumed",
@@ -265,15 +265,15 @@ def _claims_5() -> list[Claim]:
     ]
 
 
-def _parameters_5() -> list[Parameter]:
+def _parameters_5() -> list[FigureParameter]:
     return [
         copper(),
-        Parameter("illuminant", "CIE D6500", "database", D65_SOURCE),
-        Parameter("average normal reflectance", f"{float(spectrum(np.zeros(1)).mean()):.4f}", "derived",
+        FigureParameter("illuminant", "CIE D6500", "database", D65_SOURCE),
+        FigureParameter("average normal reflectance", f"{float(spectrum(np.zeros(1)).mean()):.4f}", "derived",
                   "mean over the spectrum; the approximation's index is that of this reflectance"),
-        Parameter("index", "n + ik, and the effective real one", "assumed",
+        FigureParameter("index", "n + ik, and the effective real one", "assumed",
                   "the scan does not say which one the figure was made with: both are judged"),
-        Parameter("monitor", "sRGB primaries and curve", "assumed", "the paper's monitor is not described"),
+        FigureParameter("monitor", "sRGB primaries and curve", "assumed", "the paper's monitor is not described"),
     ]  # fmt: skip
 
 

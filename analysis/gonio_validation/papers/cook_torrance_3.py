@@ -9,8 +9,8 @@ from gonio.models import CookTorrance
 from gonio.typing import Floats
 from gonio_validation.papers.figure import (
     Claim,
+    FigureParameter,
     PaperFigure,
-    Parameter,
     Results,
     Row,
     Trace,
@@ -120,11 +120,11 @@ def claims() -> list[Claim]:
     ]
 
 
-def _parameters() -> list[Parameter]:
+def _parameters() -> list[FigureParameter]:
     return [
-        Parameter("m", "0.2 and 0.6", "paper", "the total rms slope: √2 times that along a line"),
-        Parameter("c of the Gaussian", "1", "paper", "arbitrary; drawings are divided by D(0)"),
-        Parameter(
+        FigureParameter("m", "0.2 and 0.6", "paper", "the total rms slope: √2 times that along a line"),
+        FigureParameter("c of the Gaussian", "1", "paper", "arbitrary; drawings are divided by D(0)"),
+        FigureParameter(
             "θi", f"{SHOWN_DEG:g}°", "assumed", "the scan gives none; it only turns the drawing: no verdict uses it"
         ),
     ]

@@ -30,7 +30,7 @@ Row = Mapping[str, str | float | list[float] | None]
 
 
 @dataclass(frozen=True)
-class Parameter:
+class FigureParameter:
     """A value that the figure is made with, and where it comes from."""
 
     name: str
@@ -105,7 +105,7 @@ class PaperFigure:
     name: str
     title: str
     paper: str
-    parameters: Sequence[Parameter]
+    parameters: Sequence[FigureParameter]
     claims: Sequence[Claim]
     panels: Sequence[Panel]
     results: Results

@@ -9,8 +9,8 @@ from gonio_analysis.report.text import number
 
 from gonio import geometry
 from gonio_validation.papers import htsg_10, htsg_11, htsg_scans
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter
-from gonio_validation.papers.htsg_scans import Scan, agreement, each, scan
+from gonio_validation.papers.figure import Claim, FigureParameter, PaperFigure
+from gonio_validation.papers.htsg_scans import InstrumentScan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import (
     CONE_SR,
     CONES,
@@ -48,7 +48,7 @@ def claims(figure: int) -> list[Claim]:
     return {7: _claims_7, 8: _claims_8, 9: _claims_9}[figure](scans(figure))
 
 
-def scans(figure: int) -> list[Scan]:
+def scans(figure: int) -> list[InstrumentScan]:
     """Every incidence of a figure."""
     model = SURFACES[figure].model
     return [scan(model, i, WAVELENGTH_NM[figure]) for i in INCIDENCES[figure]]
@@ -67,14 +67,16 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         progress=lambda text: progress(f"htsg-{figure}: {text}"),
     )
     metal = [
-        Parameter("σ0", "0.28 µm", "paper", "measured roughness"),
-        Parameter("τ", "1.77 µm", "paper", "best fit of the authors, at both wavelengths"),
-        Parameter("a(λ)", "0", "paper", "best fit of the authors"),
+        FigureParameter("σ0", "0.28 µm", "paper", "measured roughness"),
+        FigureParameter("τ", "1.77 µm", "paper", "best fit of the authors, at both wavelengths"),
+        FigureParameter("a(λ)", "0", "paper", "best fit of the authors"),
     ]
     ceramic = [
-        Parameter("σ0", "1.45 µm", "paper", "best fit of the authors; measured: 1.90 µm"),
-        Parameter("τ", "13.2 µm", "paper", "best fit of the authors"),
-        Parameter("a(λ)", "0.9", "paper", "best fit; an albedo, ρ_ud = a/π (eq. 72 as printed would reflect 283 %)"),
+        FigureParameter("σ0", "1.45 µm", "paper", "best fit of the authors; measured: 1.90 µm"),
+        FigureParameter("τ", "13.2 µm", "paper", "best fit of the authors"),
+        FigureParameter(
+            "a(λ)", "0.9", "paper", "best fit; an albedo, ρ_ud = a/π (eq. 72 as printed would reflect 283 %)"
+        ),
     ]
     return PaperFigure(
         f"htsg-{figure}",
@@ -83,10 +85,12 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
         [
             *(ceramic if figure == 9 else metal),
             index_parameter("MgO" if figure == 9 else "Al", WAVELENGTH_NM[figure]),
-            Parameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES[figure]), "paper"),
-            Parameter("λ", f"{WAVELENGTH_NM[figure] / 1000:g} µm", "paper"),
+            FigureParameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES[figure]), "paper"),
+            FigureParameter("λ", f"{WAVELENGTH_NM[figure] / 1000:g} µm", "paper"),
             cones_parameter(),
-            Parameter("shadowing", "Smith, with the factor exp(−h²)", "derived", "eq. 25 as printed lacks the factor"),
+            FigureParameter(
+                "shadowing", "Smith, with the factor exp(−h²)", "derived", "eq. 25 as printed lacks the factor"
+            ),
         ],
         judged,
         htsg_scans.panels(found, taken, most=4.0 if figure == 9 else 2.5),
@@ -97,7 +101,7 @@ def _build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     )
 
 
-def _notes(figure: int, scans: Sequence[Scan], taken: Simulated) -> list[str]:
+def _notes(figure: int, scans: Sequence[InstrumentScan], taken: Simulated) -> list[str]:
     last = scans[-1]
     out = [agreement(taken)]
     if figure == 9:
@@ -129,7 +133,7 @@ def exact_spike(model: Any, theta_i_deg: float, wavelength_nm: float) -> float:
     return float(apparent_spike(model, theta, 0.0, theta, math.pi, wavelength_nm=wavelength_nm, spike="exact", **CONES))
 
 
-def _claims_7(scans: Sequence[Scan]) -> list[Claim]:
+def _claims_7(scans: Sequence[InstrumentScan]) -> list[Claim]:
     ratios = {s.theta_i_deg: s.spike_over_lobe for s in scans}
     first = scans[0]
     visible = {s.theta_i_deg: 1.0 / (1.0 + s.spike_over_lobe) for s in scans}
@@ -178,7 +182,7 @@ def _claims_7(scans: Sequence[Scan]) -> list[Claim]:
     ]
 
 
-def _claims_8(scans: Sequence[Scan]) -> list[Claim]:
+def _claims_8(scans: Sequence[InstrumentScan]) -> list[Claim]:
     lobes, last = scans[:-1], scans[-1]
     spikes = {s.theta_i_deg: s.rho_s / s.rho_dh for s in lobes}
     return [
@@ -207,7 +211,7 @@ def _claims_8(scans: Sequence[Scan]) -> list[Claim]:
     ]
 
 
-def _claims_9(scans: Sequence[Scan]) -> list[Claim]:
+def _claims_9(scans: Sequence[InstrumentScan]) -> list[Claim]:
     a = CERAMIC.diffuse_albedo
     flat = a / math.pi
     first = scans[0]

@@ -10,9 +10,9 @@ from gonio_analysis.report.text import number
 from gonio.typing import Floats
 from gonio_validation.papers.figure import (
     Claim,
+    FigureParameter,
     Panel,
     PaperFigure,
-    Parameter,
     Results,
     agreed,
     angle_panel,
@@ -83,17 +83,17 @@ def claims() -> list[Claim]:
     ]
 
 
-def _parameters() -> list[Parameter]:
+def _parameters() -> list[FigureParameter]:
     return [
-        Parameter("σ0/τ", "4.4", "paper", "the ratio alone counts for very rough surfaces"),
-        Parameter("τ", "100 µm", "assumed", "not given, and of no effect: the claims are tried with 10 µm too"),
-        Parameter("a(λ)", "0", "paper"),
-        Parameter(
+        FigureParameter("σ0/τ", "4.4", "paper", "the ratio alone counts for very rough surfaces"),
+        FigureParameter("τ", "100 µm", "assumed", "not given, and of no effect: the claims are tried with 10 µm too"),
+        FigureParameter("a(λ)", "0", "paper"),
+        FigureParameter(
             "λ", "0.55 µm", "assumed", "the text says 0.55 µm, the caption 0.5 µm; the claims are tried with both"
         ),
-        Parameter("θi", "0°", "paper"),
+        FigureParameter("θi", "0°", "paper"),
         index_parameter("Al2O3", WAVELENGTH_NM),
-        Parameter(
+        FigureParameter(
             "grit",
             "aluminium oxide",
             "assumed",

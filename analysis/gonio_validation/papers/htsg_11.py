@@ -11,8 +11,8 @@ from gonio_analysis.report.text import number
 from gonio import geometry, materials
 from gonio.models import fresnel
 from gonio_validation.papers import htsg_scans
-from gonio_validation.papers.figure import Claim, PaperFigure, Parameter, angle_panel
-from gonio_validation.papers.htsg_scans import BRDF, Scan, agreement, each, scan
+from gonio_validation.papers.figure import Claim, FigureParameter, PaperFigure, angle_panel
+from gonio_validation.papers.htsg_scans import BRDF, InstrumentScan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import CONE_SR, PAPER, HtsgSurface, cones_parameter, energy_limit, measure
 from gonio_validation.papers.htsg_surfaces import scan as directions
 
@@ -33,11 +33,11 @@ def claims() -> list[Claim]:
     return _claims(plastic().model, _scans())
 
 
-def _scans() -> list[Scan]:
+def _scans() -> list[InstrumentScan]:
     return [scan(plastic().model, i, WAVELENGTH_NM) for i in INCIDENCES]
 
 
-def _claims(model: Any, scans: list[Scan]) -> list[Claim]:
+def _claims(model: Any, scans: list[InstrumentScan]) -> list[Claim]:
 
     wave = WAVELENGTH_NM
     n = float(model.ior.real)
@@ -114,11 +114,11 @@ def build(progress: Callable[[str], None]) -> PaperFigure:
         "HTSG Fig. 11: smooth blue plastic at 0.46 µm",
         PAPER,
         [
-            Parameter("σ0", "0", "paper", "a smooth surface; τ has no effect"),
-            Parameter("a(λ)", f"{PLASTIC_A:g}", "paper", "an albedo: ρ_ud = a/π"),
-            Parameter("n", f"{surface.ior:.4f} (k = 0)", "derived", "|F(0°)|² = ρ_dh − a = 0.195 − 0.15"),
-            Parameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES), "paper"),
-            Parameter("λ", "0.46 µm", "paper"),
+            FigureParameter("σ0", "0", "paper", "a smooth surface; τ has no effect"),
+            FigureParameter("a(λ)", f"{PLASTIC_A:g}", "paper", "an albedo: ρ_ud = a/π"),
+            FigureParameter("n", f"{surface.ior:.4f} (k = 0)", "derived", "|F(0°)|² = ρ_dh − a = 0.195 − 0.15"),
+            FigureParameter("θi", ", ".join(f"{i:g}°" for i in INCIDENCES), "paper"),
+            FigureParameter("λ", "0.46 µm", "paper"),
             cones_parameter(
                 "not given for this instrument; taken from Fig. 7. The height of the spikes goes as 1/dω_i, and no "
                 "verdict uses it"

@@ -18,7 +18,7 @@ BRDF = "BRDF [1/sr]"
 
 
 @dataclass(frozen=True)
-class Scan:
+class InstrumentScan:
     """One incidence: what an instrument with two cones of `CONE_SR` sees, lobe and spike apart."""
 
     theta_i_deg: float
@@ -66,7 +66,7 @@ class Scan:
         return float(high[-1] - high[0])
 
 
-def scan(model: Any, theta_i_deg: float, wavelength_nm: float) -> Scan:
+def scan(model: Any, theta_i_deg: float, wavelength_nm: float) -> InstrumentScan:
     """A surface at one incidence."""
     from gonio.instrument import apparent_lobe, apparent_spike
 
@@ -79,7 +79,7 @@ def scan(model: Any, theta_i_deg: float, wavelength_nm: float) -> Scan:
     fine = np.arange(-89.99, 90.0, 0.01)
     theta, phi = signed(fine)
     one_direction = model.brdf(theta_i, 0.0, theta, phi, wavelength_nm=wavelength_nm)
-    return Scan(
+    return InstrumentScan(
         theta_i_deg,
         angle,
         np.asarray(apparent_lobe(model, *where, wavelength_nm=wavelength_nm, **CONES)),
@@ -100,7 +100,7 @@ def each(values: Mapping[float, Any], text: str = "{}") -> str:
     return ", ".join(f"{text.format(v)} at {i:g}°" for i, v in values.items())
 
 
-def normalised(scans: Sequence[Scan], taken: Simulated) -> list[Line]:
+def normalised(scans: Sequence[InstrumentScan], taken: Simulated) -> list[Line]:
     """Theory and the simulated measurement, each divided by its own value in the mirror direction (eq. 11)."""
     lines = []
     for s in scans:
@@ -112,7 +112,7 @@ def normalised(scans: Sequence[Scan], taken: Simulated) -> list[Line]:
     return lines
 
 
-def absolute(scans: Sequence[Scan], taken: Simulated) -> list[Line]:
+def absolute(scans: Sequence[InstrumentScan], taken: Simulated) -> list[Line]:
     """Theory and the simulated measurement in 1/sr, without the values that are lost in the noise: for logarithms."""
     lines = []
     for s in scans:
@@ -124,7 +124,7 @@ def absolute(scans: Sequence[Scan], taken: Simulated) -> list[Line]:
     return lines
 
 
-def panels(scans: Sequence[Scan], taken: Simulated, *, most: float = 2.5) -> list[Panel]:
+def panels(scans: Sequence[InstrumentScan], taken: Simulated, *, most: float = 2.5) -> list[Panel]:
     """The polar drawing of Figs. 7 to 9, and the same curves in absolute units."""
     solid = "Solid: theory, averaged over the cones; dashed, with error bars: simulated measurement."
     missing = " Values within three standard uncertainties of zero are left out."
@@ -154,8 +154,8 @@ COLUMNS: Mapping[str, Callable[[Any], str]] = {
 }
 
 
-def results(scans: Sequence[Scan], taken: Simulated) -> Results:
-    """The results of each incidence; "lobe" and "spike" as in `Scan`."""
+def results(scans: Sequence[InstrumentScan], taken: Simulated) -> Results:
+    """The results of each incidence; "lobe" and "spike" as in `InstrumentScan`."""
     width = 2.0 * float(geometry.half_angle_of_cone(CONE_SR))
     rows = []
     for s in scans:

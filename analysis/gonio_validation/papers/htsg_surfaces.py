@@ -15,21 +15,21 @@ from gonio_analysis.fitting.observations import Observations, observations
 from gonio import geometry
 from gonio.models import HeTorrance
 from gonio.typing import Floats, TomlTable
-from gonio_validation.papers.figure import Parameter
+from gonio_validation.papers.figure import FigureParameter
 
 PAPER = "He, Torrance, Sillion and Greenberg, A Comprehensive Physical Model for Light Reflection, SIGGRAPH 1991"
 CONE_SR = math.pi / 1024
 """HTSG sec. 4: the solid angles of incident and received light in the experiments of Figs. 7 and 8."""
 
 
-class Cones(TypedDict):
+class FigureCones(TypedDict):
     """What lamp and lens subtend [sr], as `gonio.instrument` takes it."""
 
     source_solid_angle_sr: float
     receiver_solid_angle_sr: float
 
 
-CONES: Cones = {"source_solid_angle_sr": CONE_SR, "receiver_solid_angle_sr": CONE_SR}
+CONES: FigureCones = {"source_solid_angle_sr": CONE_SR, "receiver_solid_angle_sr": CONE_SR}
 
 
 @dataclass(frozen=True)
@@ -53,24 +53,24 @@ class HtsgSurface:
         return {name: value for name, value in vars(self).items() if name != "diffuse_albedo" or value}
 
 
-def index_parameter(material: str, wavelength_nm: float) -> Parameter:
+def index_parameter(material: str, wavelength_nm: float) -> FigureParameter:
     """The optical constants that a figure is made with."""
     from gonio import materials
 
     found = materials.ior(material)
     n = complex(found(wavelength_nm))
     text = f"{n.real:.4g} + {n.imag:.4g}i" if n.imag else f"{n.real:.5g} (k = 0)"
-    return Parameter(
+    return FigureParameter(
         f"n + ik at {wavelength_nm:g} nm", text, "database", f"{material}: {found.source}; the paper gives none"
     )
 
 
-def cones_parameter(reason: str = "") -> Parameter:
+def cones_parameter(reason: str = "") -> FigureParameter:
     """The solid angles of light and detector."""
     value = f"π/1024 sr = {CONE_SR:.5f} sr each"
     if reason:
-        return Parameter("solid angles dω_i, dω_r", value, "assumed", reason)
-    return Parameter("solid angles dω_i, dω_r", value, "paper", "sec. 4, with Fig. 7")
+        return FigureParameter("solid angles dω_i, dω_r", value, "assumed", reason)
+    return FigureParameter("solid angles dω_i, dω_r", value, "paper", "sec. 4, with Fig. 7")
 
 
 def energy_limit(model: Any, wavelength_nm: float) -> tuple[float | None, float]:

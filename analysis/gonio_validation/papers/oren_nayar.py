@@ -13,8 +13,8 @@ from gonio.typing import Floats
 from gonio_validation.papers import oren_nayar_samples
 from gonio_validation.papers.figure import (
     Claim,
+    FigureParameter,
     PaperFigure,
-    Parameter,
     Results,
     Trace,
     agreed,
@@ -43,7 +43,7 @@ EDGE_DEG = 75.0
 
 
 @dataclass(frozen=True)
-class Choice:
+class ScanChoice:
     """What the scan leaves open."""
 
     sigma_deg: float = 30.0
@@ -56,7 +56,7 @@ class Choice:
         return f"σ = {self.sigma_deg:g}°, ρ = {self.albedo:g}, θi = {self.theta_i_deg:g}°"
 
 
-SHOWN = Choice()
+SHOWN = ScanChoice()
 CHOICES = (
     SHOWN,
     replace(SHOWN, sigma_deg=20.0),
@@ -88,7 +88,7 @@ def claims(figure: int) -> list[Claim]:
 
 
 @functools.cache
-def radiance(choice: Choice, interreflections: bool = True, step_deg: float = 1.0) -> tuple[Floats, Floats]:
+def radiance(choice: ScanChoice, interreflections: bool = True, step_deg: float = 1.0) -> tuple[Floats, Floats]:
     """Signed angles [deg] and radiance over E0, the irradiance head-on [1/sr], by the integral (eq. 13)."""
 
     angle = np.round(np.arange(-85.0, 85.1, step_deg), 6)
@@ -98,7 +98,7 @@ def radiance(choice: Choice, interreflections: bool = True, step_deg: float = 1.
     return angle, np.asarray(model.brdf(theta_i, 0.0, theta_r, phi_r)) * math.cos(theta_i)
 
 
-def kink(choice: Choice) -> float:
+def kink(choice: ScanChoice) -> float:
     """The angle [deg] at which the direct radiance bends most, on the retro side."""
     angle, direct = radiance(choice, False)
     curvature = np.abs(np.diff(direct, 2))
@@ -106,7 +106,7 @@ def kink(choice: Choice) -> float:
     return float(angle[1:-1][inside][int(np.argmax(curvature[inside]))])
 
 
-def growth(choice: Choice) -> float:
+def growth(choice: ScanChoice) -> float:
     """How fast the direct radiance grows beyond retro-reflection, over how fast it does before: over 5 degrees."""
     angle, direct = radiance(choice, False)
     retro = -choice.theta_i_deg
@@ -114,7 +114,7 @@ def growth(choice: Choice) -> float:
     return (beyond - here) / (here - inside)
 
 
-def tangent(choice: Choice) -> float:
+def tangent(choice: ScanChoice) -> float:
     """Rms deviation of the middle section from a + b tan(theta_r), over the section's range."""
     angle, total = radiance(choice)
     middle = (angle > -choice.theta_i_deg) & (angle <= 0.0)
@@ -123,7 +123,7 @@ def tangent(choice: Choice) -> float:
     return float(np.sqrt(np.mean((x @ coefficients - total[middle]) ** 2)) / np.ptp(total[middle]))
 
 
-def twice(choice: Choice) -> tuple[Floats, Floats]:
+def twice(choice: ScanChoice) -> tuple[Floats, Floats]:
     """Signed angles [deg] and the share of the radiance that comes from interreflection."""
     angle, total = radiance(choice)
     return angle, 1.0 - radiance(choice, False)[1] / total
@@ -243,14 +243,16 @@ def _radiance() -> PaperFigure:
     )  # fmt: skip
 
 
-def _judged() -> Parameter:
-    return Parameter("judged with", "; ".join(c.text for c in CHOICES), "assumed", "a verdict where all of them agree")
+def _judged() -> FigureParameter:
+    return FigureParameter(
+        "judged with", "; ".join(c.text for c in CHOICES), "assumed", "a verdict where all of them agree"
+    )
 
 
 # --- Fig. 6 -------------------------------------------------------------------------------------------------------
 
 
-def plane(choice: Choice, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
+def plane(choice: ScanChoice, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
     """Signed angles [deg] and BRDF [1/sr] in the plane of incidence."""
 
     angle = np.round(np.arange(-85.0, 85.1, step_deg), 6)
@@ -259,7 +261,7 @@ def plane(choice: Choice, theta_i_deg: float, step_deg: float = JUDGED_DEG) -> t
     return angle, np.asarray(model.brdf(math.radians(theta_i_deg), 0.0, theta_r, phi_r))
 
 
-def beside(choice: Choice, dphi_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
+def beside(choice: ScanChoice, dphi_deg: float, step_deg: float = JUDGED_DEG) -> tuple[Floats, Floats]:
     """Polar angles [deg] and radiance over E0 [1/sr] at an azimuth from the source."""
 
     angle = np.round(np.arange(0.0, 85.1, step_deg), 6)
@@ -337,7 +339,7 @@ def _brdf() -> PaperFigure:
                 f"(a) {', '.join(f'{i:g}°' for i in INCIDENCES)}; (b) {SHOWN.theta_i_deg:g}°",
                 "as in Fig. 5",
             ),
-            Parameter("judged with", "σ = 20°, 30° and 40°", "assumed", "a verdict where all of them agree"),
+            FigureParameter("judged with", "σ = 20°, 30° and 40°", "assumed", "a verdict where all of them agree"),
         ],
         _claims_6(),
         [

@@ -16,8 +16,8 @@ from gonio.models import Blinn, Lambert, OrenNayar, Sum
 from gonio.typing import Floats
 from gonio_validation.papers.figure import (
     Claim,
+    FigureParameter,
     PaperFigure,
-    Parameter,
     Results,
     Row,
     Trace,
@@ -74,12 +74,12 @@ def vase_row(light_deg: float, curve: Trace) -> Row:
     return {"light_deg": light_deg, "model": curve.label, "peak": float(curve.x[int(np.argmax(curve.y))]), **across}
 
 
-def assumed(sigma: str, rho: str, theta_i: str, why: str) -> list[Parameter]:
+def assumed(sigma: str, rho: str, theta_i: str, why: str) -> list[FigureParameter]:
     """The three parameters that the scan has lost."""
     return [
-        Parameter("σ", sigma, "assumed", f"{LOST}; {why}"),
-        Parameter("ρ", rho, "assumed", LOST),
-        Parameter("θi", theta_i, "assumed", LOST),
+        FigureParameter("σ", sigma, "assumed", f"{LOST}; {why}"),
+        FigureParameter("ρ", rho, "assumed", LOST),
+        FigureParameter("θi", theta_i, "assumed", LOST),
     ]
 
 
@@ -207,8 +207,10 @@ def _sample(figure: int) -> PaperFigure:
     parameters = assumed(f"{sigma:g}°", f"{albedo:g}", ", ".join(f"{i:g}°" for i in INCIDENCES), MATCHED)
     if specular:
         parameters += [
-            Parameter("k_b, k_s", f"1, {SURFACE:g}", "assumed", f"{LOST}; the authors fitted theirs"),
-            Parameter("n of the surface", f"{INDEX:g}", "assumed", "the paper gives none; a polymer's or fibre's"),
+            FigureParameter("k_b, k_s", f"1, {SURFACE:g}", "assumed", f"{LOST}; the authors fitted theirs"),
+            FigureParameter(
+                "n of the surface", f"{INDEX:g}", "assumed", "the paper gives none; a polymer's or fibre's"
+            ),
         ]
     panels = [
         angle_panel(
@@ -344,9 +346,9 @@ def _vase() -> PaperFigure:
         PAPER,
         [
             *assumed(f"{sigma:g}°", f"{albedo:g}", "", MATCHED)[:2],
-            Parameter("light", "from the camera; 20° to its right", "paper"),
-            Parameter("vase", "a cylinder, camera and lamp far away", "derived", "“cylindrical clay vase”"),
-            Parameter("judged with", ", ".join(f"{s:g}°" for s in VASE_SIGMA), "assumed", "σ; all have to agree"),
+            FigureParameter("light", "from the camera; 20° to its right", "paper"),
+            FigureParameter("vase", "a cylinder, camera and lamp far away", "derived", "“cylindrical clay vase”"),
+            FigureParameter("judged with", ", ".join(f"{s:g}°" for s in VASE_SIGMA), "assumed", "σ; all have to agree"),
         ],
         _claims_vase(),
         panels,

@@ -39,7 +39,7 @@ LIMITS = (
 
 
 @dataclass(frozen=True)
-class Part:
+class VerifyPart:
     """One part of the verification."""
 
     name: str
@@ -49,15 +49,17 @@ class Part:
 
 
 PARTS = (
-    Part("installation", "versions, and files as they were released", installation.look),
-    Part(
+    VerifyPart("installation", "versions, and files as they were released", installation.look),
+    VerifyPart(
         "models", "digits of the papers' equations that others computed, kernels against plain formulas", digits.models
     ),
-    Part("colour", "white points and sums of the observer's tables, as CIE publishes them", digits.colour),
-    Part("uncertainty", "GUM H.1 and H.2, NIST's reference datasets, consensus values", arithmetic.look),
-    Part("draws", "value and limits of La Coupole's example, as its package has them", dome.look),
-    Part("formats", "a table written and read back in each format", line.formats),
-    Part("measurement", "a sample that the simulated rig measures blindly, from frames to parameters", line.measured),
+    VerifyPart("colour", "white points and sums of the observer's tables, as CIE publishes them", digits.colour),
+    VerifyPart("uncertainty", "GUM H.1 and H.2, NIST's reference datasets, consensus values", arithmetic.look),
+    VerifyPart("draws", "value and limits of La Coupole's example, as its package has them", dome.look),
+    VerifyPart("formats", "a table written and read back in each format", line.formats),
+    VerifyPart(
+        "measurement", "a sample that the simulated rig measures blindly, from frames to parameters", line.measured
+    ),
 )
 
 

@@ -38,7 +38,7 @@ LIMITS = (0.00513229, 0.0228932, 0.123578)
 its own for each of its functions. In the package as it is each function begins with the same ones (docs/budget.md)."""
 
 
-class Errors:
+class DrawnErrors:
     """Takes columns of uniform numbers (m, `INPUTS`) one after another."""
 
     exact = False
@@ -76,7 +76,7 @@ class Errors:
         return np.asarray(radius * np.cbrt(u[:, 2:]) * way)
 
 
-class Exact(Errors):
+class Exact(DrawnErrors):
     """Every input is what it should be."""
 
     exact = True
@@ -89,17 +89,17 @@ class Exact(Errors):
         return np.zeros((1, 3))
 
 
-def value(errors: Errors) -> Floats:
+def value(errors: DrawnErrors) -> Floats:
     """BRDF [1/sr] with errors of all inputs (m,)."""
     exposure = _exposure(errors)
     return level(errors, exposure) * over_level(errors, exposure)
 
 
-def _exposure(errors: Errors) -> Floats:
+def _exposure(errors: DrawnErrors) -> Floats:
     return np.maximum(EXPOSURE_S + TICK_S * errors.even(1)[:, 0], TICK_S)
 
 
-def level(errors: Errors, exposure: Floats) -> Floats:
+def level(errors: DrawnErrors, exposure: Floats) -> Floats:
     """What the camera's converter gives [LSB]: photons, dark current, readout, pattern and rounding."""
     errors.start()
     if errors.exact:
@@ -110,7 +110,7 @@ def level(errors: Errors, exposure: Floats) -> Floats:
     return np.asarray(np.round((electrons + READ_E * read + DSNU_E * pattern) / GAIN_E) + 0.5 * errors.even(1)[:, 0])
 
 
-def over_level(errors: Errors, exposure: Floats) -> Floats:
+def over_level(errors: DrawnErrors, exposure: Floats) -> Floats:
     """BRDF over the converter's level [1/sr]: flat field, white, calibration, and the LED's light on the facet."""
     errors.start()
     at = 2.0 * np.array(PIXEL) / (4096.0, 3072.0) - 1.0
@@ -130,7 +130,7 @@ def _frame(normal: Floats) -> tuple[Floats, Floats]:
     return np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1), np.stack([b, sign + y * y * a, -y], axis=1)
 
 
-def _turned(errors: Errors, normal: tuple[float, ...], arm: float, radius: float) -> Floats:
+def _turned(errors: DrawnErrors, normal: tuple[float, ...], arm: float, radius: float) -> Floats:
     """The normal of three places on a circle, each of which lies somewhere in a ball (m, 3)."""
     errors.start()
     straight = np.array([normal])
@@ -147,7 +147,7 @@ def _turned(errors: Errors, normal: tuple[float, ...], arm: float, radius: float
     return np.asarray(np.copysign(1.0, across @ straight.T) * across)
 
 
-def _irradiance(errors: Errors) -> Floats:
+def _irradiance(errors: DrawnErrors) -> Floats:
     """Irradiance by a square Lambertian LED on the sample, from the vectors of its edges, and its own cosine."""
     normal = _turned(errors, NORMAL, SIDE_M / math.sqrt(3.0), NOISE_OF_SCAN_M)
     light_normal = _turned(errors, LIGHT_NORMAL, ARM_M, LED_PLACE_M)
@@ -179,10 +179,10 @@ def example(draws: int = 2**16, seed: int = 0) -> Drawn:
     """The example's value, drawn; its dark current, 0.8 LSB, has the exposure that is meant."""
 
     def of_camera(x: Floats) -> Floats:
-        return level(Errors(x), np.full(len(x), EXPOSURE_S))
+        return level(DrawnErrors(x), np.full(len(x), EXPOSURE_S))
 
     def of_light(x: Floats) -> Floats:
-        errors = Errors(x)
+        errors = DrawnErrors(x)
         return over_level(errors, _exposure(errors))
 
     return drawn([(of_camera, 6), (of_light, 39)], draws=draws, seed=seed)

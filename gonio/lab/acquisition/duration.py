@@ -32,7 +32,7 @@ SAME_PLACE = math.radians(1e-6)
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class TimeParts:
     """What the time of a run goes into [s]."""
 
     travel_s: float = 0.0
@@ -50,8 +50,8 @@ class Parts:
         """Their sum."""
         return math.fsum(astuple(self))
 
-    def __add__(self, other: "Parts") -> "Parts":
-        return Parts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+    def __add__(self, other: "TimeParts") -> "TimeParts":
+        return TimeParts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 class Durations:
@@ -174,19 +174,19 @@ class Durations:
 
     # ---- steps ----
 
-    def step(self, here: Pose, step: Step, reflectance: float | Mapping[str, float] | None = None) -> Parts:
+    def step(self, here: Pose, step: Step, reflectance: float | Mapping[str, float] | None = None) -> TimeParts:
         """What a step takes, from a pose; parameters as in `frames_s`."""
         frames_s = self.frames_s(step, reflectance)
         if step.kind == "dark":
-            return Parts(dark_s=frames_s)
+            return TimeParts(dark_s=frames_s)
         part = "reference_s" if step.kind == "reference" else "frames_s"
-        return Parts(**{"travel_s": self.move_s(here, step.pose), part: frames_s})
+        return TimeParts(**{"travel_s": self.move_s(here, step.pose), part: frames_s})
 
     def step_s(self, here: Pose, step: Step, reflectance: float | Mapping[str, float] | None = None) -> float:
         """How long a step takes, from a pose [s]; parameters as in `frames_s`."""
         return self.step(here, step, reflectance).total_s
 
-    def parts(self, steps: Iterable[Step], here: Pose | None = None) -> Parts:
+    def parts(self, steps: Iterable[Step], here: Pose | None = None) -> TimeParts:
         """What a sequence of steps takes, with the lamp's warm-up before it.
 
         `here` is where the axes stand before (all at 0).
@@ -197,7 +197,7 @@ class Durations:
             if step.kind != "dark":
                 stations.append(step.pose)
         warm_up_s = self.description.lamp.warm_up_s
-        return Parts(self.way_s(stations), seconds["point"], seconds["reference"], seconds["dark"], warm_up_s)
+        return TimeParts(self.way_s(stations), seconds["point"], seconds["reference"], seconds["dark"], warm_up_s)
 
     def total_s(self, steps: Iterable[Step], here: Pose | None = None) -> float:
         """How long a sequence of steps takes [s], with the lamp's warm-up before it."""

@@ -203,13 +203,13 @@ def carry_out(
     from gonio.lab.acquisition.resuming import reopened
     from gonio.lab.acquisition.run import Run
     from gonio.lab.acquisition.run_folder import begun
-    from gonio.lab.acquisition.run_settings import Request
+    from gonio.lab.acquisition.run_settings import RunRequest
 
     out = Path(out)
     progress = progress or Silent()
     begun_before = resume and begun(out)
     plan, rig, points, sampler = prepared(plan, rig, out if begun_before else None)
-    request = Request(plan, rig.description, sample, seed, command, points)
+    request = RunRequest(plan, rig.description, sample, seed, command, points)
     check_patches(rig, sample)
     steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)

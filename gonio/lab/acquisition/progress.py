@@ -98,7 +98,7 @@ class _Taken:
     before: Pose
     step: Step
     seconds: Mapping[str, float]
-    """By part of `gonio.lab.acquisition.duration.Parts`; or the whole step, by its kind."""
+    """By part of `gonio.lab.acquisition.duration.TimeParts`; or the whole step, by its kind."""
     expected: Mapping[str, float] | None = None
     """The same as the rig file has it; None until it is worked out."""
 

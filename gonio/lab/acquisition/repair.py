@@ -22,7 +22,7 @@ from gonio.lab.acquisition.frame_writer import BESIDE, NAME, label_of, pixels_of
 from gonio.lab.acquisition.journal import Steps, encode, locked
 from gonio.lab.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.lab.acquisition.remade import at_once, in_time, numbered, readable, taken, untold, with_choices
-from gonio.lab.acquisition.repeats import Pictures, repeated
+from gonio.lab.acquisition.repeats import FramePixels, repeated
 from gonio.lab.acquisition.run import Run
 from gonio.lab.acquisition.run_folder import begun
 from gonio.lab.rig.dng import encode_dng, read_raw, read_record
@@ -41,7 +41,7 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(slots=True)
-class Found:
+class FramesFound:
     """What was found among the frames of a run."""
 
     damaged: dict[int, list[str]] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Found:
     """Frames of which only the size was looked at."""
 
 
-def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = None) -> Found:
+def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = None) -> FramesFound:
     """Look for frames that the journal names and that are missing or damaged, and for files that it does not name.
 
     Parameters
@@ -74,7 +74,7 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
     DataError
         The journal is damaged.
     """
-    steps, out = run.steps(), Found()
+    steps, out = run.steps(), FramesFound()
     there, sizes = _listed(run.path / "frames")
     named, expected, counts = _named(steps)
     out.frames = len(named)
@@ -91,9 +91,11 @@ def find_damage(run: Run, *, whole: bool = False, progress: Progress | None = No
     return out
 
 
-def _read(run: Run, steps: Steps, suspects: set[int], out: Found, *, whole: bool, progress: Progress | None) -> None:
+def _read(
+    run: Run, steps: Steps, suspects: set[int], out: FramesFound, *, whole: bool, progress: Progress | None
+) -> None:
     """Read frames from end to end, the last ones first, as many as may be, and those of the suspects."""
-    room, count, done, pictures = LOOKED_INTO_BYTES, LOOKED_INTO, 0, Pictures(run.description.camera)
+    room, count, done, pictures = LOOKED_INTO_BYTES, LOOKED_INTO, 0, FramePixels(run.description.camera)
     for at in range(len(steps) - 1, -1, -1):
         number = steps.numbers[at]
         if not (whole or number in suspects or (room > 0 and count > 0)):
@@ -203,7 +205,7 @@ def require_frames_only(run: Run, names: Iterable[str]) -> None:
         )
 
 
-def set_orphans_aside(run: Run, found: Found) -> list[str]:
+def set_orphans_aside(run: Run, found: FramesFound) -> list[str]:
     """Move to `set-aside/` what no step that counts has: frames of a step that was cut short, frames that nobody can
     tell the step of, and all frames of damaged steps, which will be taken again. Their names.
 
@@ -371,7 +373,7 @@ class _Frames:
         """Steps whose last frame does not say what its pixels are."""
         self.foreign: set[str] = set()
         """Frames that name another run."""
-        self.pictures = Pictures(run.description.camera)
+        self.pictures = FramePixels(run.description.camera)
         self._digests: dict[str, str] = {}
         self._strange: dict[str, str] = {}
         """What is wrong with frames, whatever the journal says."""
@@ -430,7 +432,7 @@ class _Frames:
         return out
 
 
-def check(path: str | Path, *, progress: Progress | None = None) -> Found:
+def check(path: str | Path, *, progress: Progress | None = None) -> FramesFound:
     """Look at a whole run without changing anything: its journal, its plan, and every byte of its frames.
 
     Raises

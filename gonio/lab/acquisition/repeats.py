@@ -59,7 +59,7 @@ def some_rows_sha256(mosaic: NDArray[np.uint16]) -> str:
     return hashlib.sha256(mosaic[::ROWS].tobytes()).hexdigest()
 
 
-class Pictures:
+class FramePixels:
     """Which steps of a run have frames of the same pixels, in 24 bytes a frame."""
 
     def __init__(self, camera: Camera) -> None:

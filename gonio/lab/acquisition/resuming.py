@@ -11,9 +11,9 @@ from gonio.disk import write_own
 from gonio.errors import ConfigError, os_error_as
 from gonio.lab.acquisition.journal import Journal
 from gonio.lab.acquisition.plan import plan_csv
-from gonio.lab.acquisition.repair import ASIDE, Found, find_damage, require_frames_only, set_orphans_aside
+from gonio.lab.acquisition.repair import ASIDE, FramesFound, find_damage, require_frames_only, set_orphans_aside
 from gonio.lab.acquisition.run import Run
-from gonio.lab.acquisition.run_settings import Request, differences, settings_for
+from gonio.lab.acquisition.run_settings import RunRequest, differences, settings_for
 from gonio.lab.acquisition.schedule import Schedule
 from gonio.lab.rig import Pose
 from gonio.lab.rig.laboratory import Laboratory
@@ -24,7 +24,7 @@ class Resumed:
     """A run that is gone on with, and what was found among its frames."""
 
     run: Run
-    found: Found
+    found: FramesFound
     stated: Laboratory | None
 
     @property
@@ -72,7 +72,7 @@ def unfinished(run: Run) -> str:
     return f"the run is not finished: {known}; `gonio measure ... --resume` goes on"
 
 
-def reopened(path: Path, request: Request) -> Resumed:
+def reopened(path: Path, request: RunRequest) -> Resumed:
     """Open a run that has begun, to go on with it. Nothing in it is changed but a plan.csv that is missing.
 
     Raises

@@ -50,7 +50,7 @@ from gonio.lab.acquisition.frame_writer import NAME, label_of
 from gonio.lab.acquisition.journal import Event, Events, Index, Journal, Steps, files_named, first_event, read_events
 from gonio.lab.acquisition.plan import ANGLES, PLAN_COLUMNS, Point, plan_csv, points_sha256
 from gonio.lab.acquisition.run_folder import OURS, check_new, make_folder, remove_begun
-from gonio.lab.acquisition.run_settings import Request, RunSettings, named_files, resolved, settings_for
+from gonio.lab.acquisition.run_settings import RunRequest, RunSettings, named_files, resolved, settings_for
 from gonio.lab.acquisition.schedule import Batch
 from gonio.lab.rig import Step
 from gonio.lab.rig.description import RigDescription
@@ -99,7 +99,7 @@ class Run:
     """The events of a run that was written by this object, and is closed."""
 
     @classmethod
-    def create(cls, path: str | Path, request: Request) -> "Run":
+    def create(cls, path: str | Path, request: RunRequest) -> "Run":
         """Start a run in an empty or absent folder; where that fails nothing is left behind.
 
         Raises

@@ -65,7 +65,7 @@ class RunSettings(Strict):
 
 
 @dataclass(frozen=True)
-class Request:
+class RunRequest:
     """What a run is asked to be."""
 
     plan: Plan
@@ -83,7 +83,7 @@ class Request:
         return assess(self.plan, self.description) if self.assessed is None else self.assessed
 
 
-def settings_for(request: Request, description: RigDescription) -> RunSettings:
+def settings_for(request: RunRequest, description: RigDescription) -> RunSettings:
     versions = {"python": platform.python_version()}
     for name in RECORDED:
         with contextlib.suppress(PackageNotFoundError):

@@ -65,7 +65,7 @@ class Peak:
 
 
 @dataclass(frozen=True, slots=True)
-class Zero:
+class AlignedZero:
     """The zero of one axis, and where its uncertainty comes from [deg]."""
 
     offset_deg: float
@@ -86,7 +86,7 @@ class Zero:
 class Alignment:
     """What the scans say of the zeros."""
 
-    zeros: dict[str, Zero]
+    zeros: dict[str, AlignedZero]
     """Zeros of the axes that are determined."""
     axes: tuple[str, ...]
     """Axes of the rows and columns of `covariance`, which is that of the scans alone [deg^2]."""
@@ -228,7 +228,7 @@ def align(table: DataFrame, description: RigDescription) -> Alignment:
     zeros = {}
     for k in np.flatnonzero(determined).tolist():
         own_parts = {"scans": math.sqrt(covariance[k, k]), "backlash": _backlash_deg(description, axes[k])}
-        zeros[axes[k]] = Zero(float(solution[k]), own_parts | parts)
+        zeros[axes[k]] = AlignedZero(float(solution[k]), own_parts | parts)
     return Alignment(zeros, axes, covariance, rank, departure, _open(description, scans, zeros, y, own), scans, peaks)
 
 
@@ -260,7 +260,7 @@ def _backlash_deg(description: RigDescription, name: str) -> float:
 
 
 def _open(
-    description: RigDescription, scans: DataFrame, zeros: dict[str, Zero], y: Floats, own: Floats
+    description: RigDescription, scans: DataFrame, zeros: dict[str, AlignedZero], y: Floats, own: Floats
 ) -> tuple[str, ...]:
     out = []
     if "light" not in zeros:

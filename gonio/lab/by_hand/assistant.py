@@ -22,13 +22,13 @@ from gonio.disk import put
 from gonio.errors import ConfigError, DataError, DeviceError, Disturbed, EmergencyStop
 from gonio.lab.acquisition import exposure
 from gonio.lab.by_hand.lamp_timer import DeadMansTimer, LampTimeOver
-from gonio.lab.by_hand.live_view import Pictures, Sight, pictures
+from gonio.lab.by_hand.live_view import FramePictures, Sight, pictures
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.by_hand.rig_file import read_zero, with_values, write_values
 from gonio.lab.rig import Frame, Pose, Target, regions
 from gonio.typing import JsonObject
 
-Tell = Callable[[JsonObject, Pictures | None], None]
+Tell = Callable[[JsonObject, FramePictures | None], None]
 """Takes what is to be shown (what JSON can hold), and the pictures of a new frame."""
 
 KEEP_S = 60.0

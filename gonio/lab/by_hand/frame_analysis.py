@@ -212,7 +212,7 @@ def channels(camera: Camera) -> tuple[Channel, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Levels:
+class PixelLevels:
     """Levels of the pixels of one colour of a frame."""
 
     channel: Channel
@@ -223,7 +223,7 @@ class Levels:
     pixels: int
 
 
-def levels(camera: Camera, frame: Frame) -> tuple[Levels, ...]:
+def levels(camera: Camera, frame: Frame) -> tuple[PixelLevels, ...]:
     """Histograms, and how many pixels are saturated, by colour."""
     height, width = (size // 2 * 2 for size in frame.mosaic.shape)
     out, white = [], int(frame.white_level_dn)
@@ -238,7 +238,7 @@ def levels(camera: Camera, frame: Frame) -> tuple[Levels, ...]:
             by_value = np.bincount(np.minimum(part, steps.size - 1).ravel(), minlength=steps.size)
             counts += np.bincount(steps, weights=by_value, minlength=BINS).astype(int)
             over += int(np.count_nonzero(saturated(camera, frame, part)))
-        out.append(Levels(channel, tuple(int(n) for n in counts), over, pixels))
+        out.append(PixelLevels(channel, tuple(int(n) for n in counts), over, pixels))
     return tuple(out)
 
 

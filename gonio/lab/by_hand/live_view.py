@@ -228,7 +228,7 @@ def _beam(description: RigDescription, view: kinematics.View) -> list[list[float
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
+class FramePictures:
     """Pictures of one frame; grey, with saturated pixels red."""
 
     whole: bytes
@@ -241,7 +241,7 @@ class Pictures:
     """The signal above the black level that is shown white [DN]."""
 
 
-def pictures(camera: Camera, frame: Frame, middle: tuple[float, float]) -> Pictures:
+def pictures(camera: Camera, frame: Frame, middle: tuple[float, float]) -> FramePictures:
     """Both pictures; `middle`: column and row around which the frame is enlarged."""
     height, width = frame.mosaic.shape
     shrink = min(1.0, WIDEST / width)
@@ -262,7 +262,7 @@ def pictures(camera: Camera, frame: Frame, middle: tuple[float, float]) -> Pictu
     rows, cols = _part(middle[1], height), _part(middle[0], width)
     zoomed = _shown(frame_analysis.signal(camera, frame, frame.mosaic[rows, cols]), over[rows, cols] > 0, white)
     colours = cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444  # of every pixel
-    return Pictures(
+    return FramePictures(
         whole=_encoded(".jpg", _shown(small, red, white), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *colours]),
         zoom=_encoded(".png", zoomed, [cv2.IMWRITE_PNG_COMPRESSION, 1]),
         zoom_box=(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start),

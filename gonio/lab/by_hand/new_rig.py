@@ -177,7 +177,7 @@ def bands(text: str) -> list[TomlTable] | None:
 
 
 @dataclass(slots=True)
-class Found:
+class PortsFound:
     """What hangs at the ports."""
 
     servos: list[FoundServo] = field(default_factory=list)
@@ -188,9 +188,9 @@ class Found:
     """Of ports that could not be asked, or at which something answers that is of no use."""
 
 
-def look(plugin: DriverPlugin, ports: Sequence[str], say: Callable[[str], None]) -> Found:
+def look(plugin: DriverPlugin, ports: Sequence[str], say: Callable[[str], None]) -> PortsFound:
     """Ask at every port who is there. Nothing is lit, moved or exposed by it."""
-    found = Found()
+    found = PortsFound()
     for name in ports:
         say(f"{name}: who is there?")
         try:
@@ -264,7 +264,7 @@ def make(
 
 
 def _servos(
-    plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], form: Any, found: Found
+    plugin: DriverPlugin, person: Person | Answers, say: Callable[[str], None], form: Any, found: PortsFound
 ) -> None:
     ask, table, servos = person.about, form["devices"]["servos"], found.servos
     at = sorted({(s.port, s.baud) for s in servos})
@@ -349,7 +349,7 @@ def _axes(
     return out
 
 
-def _lamp(person: Person | Answers, form: Any, found: Found) -> None:
+def _lamp(person: Person | Answers, form: Any, found: PortsFound) -> None:
     ask, table = person.about, form["devices"]["light"]
     first = found.lamps[0] if found.lamps else None
     where = ask("lamp_port", "Port of the lamp", first[0] if first else None, port)
@@ -362,7 +362,7 @@ def _lamp(person: Person | Answers, form: Any, found: Found) -> None:
         form["bands"] = {"list": listed}
 
 
-def _camera(person: Person | Answers, form: Any, found: Found) -> None:
+def _camera(person: Person | Answers, form: Any, found: PortsFound) -> None:
     ask, camera = person.about, form["camera"]
     text = "The camera: folder (tethered, RAW files), uvc, or another driver's name"
     driver = ask("camera_driver", text, "folder", some)
@@ -382,7 +382,7 @@ def _camera(person: Person | Answers, form: Any, found: Found) -> None:
         camera[key] = ask(key, text, str(camera[key]), check)
 
 
-def _tethered(person: Person | Answers, table: Any, found: Found) -> None:
+def _tethered(person: Person | Answers, table: Any, found: PortsFound) -> None:
     """A camera whose files come into a folder, and who releases it."""
     ask = person.about
     table["folder"] = ask("camera_folder", "The folder that its files come into", "frames-from-camera", some)

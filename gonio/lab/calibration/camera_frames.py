@@ -281,7 +281,7 @@ class Passes:
         self.defects = photon_transfer.outliers(self.dark_slope) | photon_transfer.outliers(self.dark_at(0.0))
         self.good = self.colour & ~self.defects
         means: list[tuple[float, float, float]] = []
-        self.dark_pairs: list[photon_transfer.Pair] = []
+        self.dark_pairs: list[photon_transfer.FramePair] = []
         for exposure in exposures:
             group = [f for f in taken if f.exposure_s == exposure]
             images = [self.read(f)[self.good] for f in group]
@@ -365,7 +365,7 @@ class Passes:
         """Level of every part in every frame, and its uncertainty; frames that are no pair are left out (NaN)."""
         self.u_dark_dn = np.sqrt([self.dark_variance(0.0)[0] / np.count_nonzero(m) for m in self.masks])
         level, u = np.full((2, len(self.masks), len(taken)), math.nan)
-        self.level_dn, self.u_dn, self.pairs = level, u, list[photon_transfer.Pair]()
+        self.level_dn, self.u_dn, self.pairs = level, u, list[photon_transfer.FramePair]()
         limit = PAIR * math.sqrt(2.0) * self.description.lamp.noise + BIASED_PAIR
         self.map_sum, of_map = np.zeros(self.colour.shape), list[float]()
         waiting: dict[float, tuple[int, Floats]] = {}

@@ -52,7 +52,7 @@ def _uncounted(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     return nullcontext(lambda done, total: None)
 
 
-class Scan:
+class CameraScan:
     """Takes the frames, one kind after the other, and keeps each in a folder as it comes."""
 
     def __init__(

@@ -21,8 +21,8 @@ from gonio.lab.calibration.geometry_problem import (
     KNOWN,
     Given,
     Predictor,
-    Problem,
     Sighting,
+    SightingsProblem,
     Unknown,
     orders,
     start_values,
@@ -95,12 +95,12 @@ def _solved(
     sightings: Sequence[Sighting],
     sought: list[Unknown],
     given: Given | None,
-) -> tuple[Problem, Floats, list[Sighting], list[str]]:
+) -> tuple[SightingsProblem, Floats, list[Sighting], list[str]]:
     """The least squares of the sightings, those that are far off left out; which are kept, and which are not."""
     dropped: list[str] = []
     kept = list(sightings)
     for _ in range(4):
-        problem = Problem(description, kept, sought, given)
+        problem = SightingsProblem(description, kept, sought, given)
         x = problem.solved()
         for _ in range(HARMONIC_ROUNDS):
             if not problem.expect_harmonics():
@@ -180,7 +180,7 @@ def solve(
     return weighed(replace(fit, open=_open(fit, kept, right[singular < TOLD])), description)
 
 
-def _add_scale(covariance: Floats, problem: Problem, sightings: Sequence[Sighting]) -> None:
+def _add_scale(covariance: Floats, problem: SightingsProblem, sightings: Sequence[Sighting]) -> None:
     """What corners are off in the same way in all sightings changes the size of their picture, and so the distance."""
     sizes = [float(np.sqrt(np.var(s.corners_px, axis=0).sum())) for s in sightings if s.corners]
     for k, unknown in enumerate(problem.unknowns):

@@ -188,7 +188,7 @@ class Predictor:
         return np.stack(imaging.project(rig, view, points), axis=1)
 
 
-class Problem:
+class SightingsProblem:
     """The least-squares problem of some sightings."""
 
     def __init__(

@@ -28,7 +28,7 @@ FEWEST_LEVELS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class FramePair:
     """Two frames of one setting, over one region."""
 
     exposure_s: float
@@ -43,12 +43,12 @@ class Pair:
         return self.variance_dn2 * math.sqrt(2.0 / max(self.pixels - 1, 1))
 
 
-def pair(a: NDArray[np.generic], b: NDArray[np.generic], exposure_s: float) -> Pair:
+def pair(a: NDArray[np.generic], b: NDArray[np.generic], exposure_s: float) -> FramePair:
     """The statistics of two frames, or of the same pixels of two (6.4)."""
     first, second = np.asarray(a, dtype=float).ravel(), np.asarray(b, dtype=float).ravel()
     means = float(first.mean()), float(second.mean())
     variance = 0.5 * float(np.mean((first - second) ** 2)) - 0.5 * (means[0] - means[1]) ** 2
-    return Pair(exposure_s, 0.5 * (means[0] + means[1]), variance, first.size)
+    return FramePair(exposure_s, 0.5 * (means[0] + means[1]), variance, first.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def _slope(camera: Camera, level: Floats) -> Floats:
     return np.asarray((straightened(camera, level + step) - straightened(camera, level - step)) / (2.0 * step))
 
 
-def _by_level(flats: Sequence[Pair], dark_level: tuple[float, float]) -> tuple[Floats, Floats, list[Pair]]:
+def _by_level(flats: Sequence[FramePair], dark_level: tuple[float, float]) -> tuple[Floats, Floats, list[FramePair]]:
     """Exposures [s], levels above the dark one [DN], and pairs of one exposure averaged; by their levels."""
     merged = [_merged([p for p in flats if p.exposure_s == t]) for t in sorted({p.exposure_s for p in flats})]
     exposures = np.array([p.exposure_s for p in merged])
@@ -135,7 +135,7 @@ def _by_level(flats: Sequence[Pair], dark_level: tuple[float, float]) -> tuple[F
 
 
 def photon_transfer(
-    flats: Sequence[Pair], darks: Sequence[Pair], dark_level: tuple[float, float], camera: Camera,
+    flats: Sequence[FramePair], darks: Sequence[FramePair], dark_level: tuple[float, float], camera: Camera,
     curve_covariance: Floats | None = None,
 ) -> PhotonTransfer:  # fmt: skip
     """The linear camera model from pairs.
@@ -220,9 +220,9 @@ def linearity_error(exposures_s: Floats, signal_dn: Floats, saturation_dn: float
     return float(np.mean(np.abs((y - fitted) / fitted)))
 
 
-def _merged(pairs: Sequence[Pair]) -> Pair:
+def _merged(pairs: Sequence[FramePair]) -> FramePair:
     """Pairs of one setting, averaged."""
-    return Pair(
+    return FramePair(
         pairs[0].exposure_s,
         float(np.mean([p.mean_dn for p in pairs])),
         float(np.mean([p.variance_dn2 for p in pairs])),
@@ -230,7 +230,7 @@ def _merged(pairs: Sequence[Pair]) -> Pair:
     )
 
 
-def _dark_variance(darks: Sequence[Pair]) -> tuple[float, float, float]:
+def _dark_variance(darks: Sequence[FramePair]) -> tuple[float, float, float]:
     """Temporal variance of dark frames at no exposure [DN^2], its uncertainty, and its growth with exposure [DN^2/s].
 
     The growth is the shot noise of the dark charge; with one exposure it is taken for zero.

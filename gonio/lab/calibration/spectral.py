@@ -23,7 +23,7 @@ FEWEST = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Spectrum:
+class BandSpectrum:
     """A band's centroid, its full width at half maximum [nm], and their standard uncertainties."""
 
     name: str
@@ -46,7 +46,7 @@ class Scale:
     """Standard deviation of the lines around it."""
 
 
-def spectra(path: str | Path) -> list[Spectrum]:
+def spectra(path: str | Path) -> list[BandSpectrum]:
     """The bands of a table `band, wavelength_nm, signal` and, where known, `u_signal`.
 
     Raises
@@ -66,7 +66,7 @@ def spectra(path: str | Path) -> list[Spectrum]:
     return out
 
 
-def spectrum(name: str, wavelength_nm: Floats, signal: Floats, u_signal: Floats | None = None) -> Spectrum:
+def spectrum(name: str, wavelength_nm: Floats, signal: Floats, u_signal: Floats | None = None) -> BandSpectrum:
     """Centroid and width of a band.
 
     Without `u_signal` the noise is that by which values depart from the line through their neighbours: too large where
@@ -96,7 +96,7 @@ def spectrum(name: str, wavelength_nm: Floats, signal: Floats, u_signal: Floats 
     total = float(np.sum(y * share * width))
     centre = float(np.sum(x * y * share * width)) / total
     lever = (x - centre) * width * np.where((share > 0.0) & (share < 1.0), share + 0.5 * over, share)
-    return Spectrum(name, centre, right - left, float(np.linalg.norm(lever * u_signal)) / total, u_fwhm)
+    return BandSpectrum(name, centre, right - left, float(np.linalg.norm(lever * u_signal)) / total, u_fwhm)
 
 
 def _crossing(x: Floats, y: Floats, u: Floats, k: int, half: float) -> tuple[float, float, float]:
@@ -139,7 +139,7 @@ def wavelength_scale(path: str | Path) -> Scale:
     return Scale(middle, float(found[0]), float(found[1]) if columns == 2 else 0.0, covariance, scatter)
 
 
-def values(bands: Bands, measured: list[Spectrum], scale: Scale | None) -> tuple[TomlTable, list[str], Floats]:
+def values(bands: Bands, measured: list[BandSpectrum], scale: Scale | None) -> tuple[TomlTable, list[str], Floats]:
     """Keys of [bands] with their values, which of their numbers are uncertain, and their covariance.
 
     A spectrum tells of the band that it names; the scale tells of all others.

@@ -151,7 +151,7 @@ ESCAPE = "\x1b"
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class LineDone:
     """A line was finished."""
 
     text: str
@@ -198,14 +198,14 @@ class JogKeys:
         """By how much [deg]."""
         return STEPS_DEG[self._step]
 
-    def feed(self, data: bytes) -> list[Line | Jog | End]:
+    def feed(self, data: bytes) -> list[LineDone | Jog | End]:
         """What some bytes of the terminal mean; an escape sequence may come in parts."""
-        out: list[Line | Jog | End] = []
+        out: list[LineDone | Jog | End] = []
         for character in self._decoder.decode(data):
             if self._escape or character == ESCAPE:
                 self._in_escape(character, out)
             elif character in "\r\n":
-                out.append(Line(self.typed))
+                out.append(LineDone(self.typed))
                 self.typed = ""
             elif character in "\x7f\b":
                 self.typed = self.typed[:-1]
@@ -219,7 +219,7 @@ class JogKeys:
                 self.typed += character
         return out
 
-    def _in_escape(self, character: str, out: list[Line | Jog | End]) -> None:
+    def _in_escape(self, character: str, out: list[LineDone | Jog | End]) -> None:
         """ESC [ A, or ESC O A; other sequences end with a letter or ~, and mean nothing."""
         self._escape += character
         if len(self._escape) == 1 or (len(self._escape) == 2 and character in "[O"):
@@ -329,7 +329,7 @@ class Terminal:
                     self._act(what, assistant)
             self._draw(assistant.status)
 
-    def _act(self, what: Line | Jog | End, assistant: Assistant) -> None:
+    def _act(self, what: LineDone | Jog | End, assistant: Assistant) -> None:
         if isinstance(what, Jog):
             assistant.nudge(what.axis, what.degrees)
         elif isinstance(what, End):

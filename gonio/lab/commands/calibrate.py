@@ -46,7 +46,7 @@ def camera(
     """
     from gonio.lab.commands import calibrate_camera as work
 
-    asked = work.Asked(only, pairs=pairs, wavelength_nm=wavelength, seed=seed, yes=yes)
+    asked = work.CameraOptions(only, pairs=pairs, wavelength_nm=wavelength, seed=seed, yes=yes)
     work.calibrate(rig, out, frames, asked, response=response, valid_days=valid_days)
 
 
@@ -86,7 +86,7 @@ def geometry(
 
     if print_fiducials is not None:
         return work.print_sheet(rig, print_fiducials)
-    asked = work.Asked(holder, search_deg=search, share=work.QUICK if quick else 1.0, seed=seed, yes=yes)
+    asked = work.GeometryOptions(holder, search_deg=search, share=work.QUICK if quick else 1.0, seed=seed, yes=yes)
     return work.calibrate(rig, out, images, board, scans, asked, valid_days)
 
 
@@ -115,7 +115,7 @@ def light(
     """
     from gonio.lab.commands import calibrate_light as work
 
-    earlier = work.Files(series, spectra, lines, lamp_polariser)
-    asked = work.Asked(only, minutes=minutes, every_s=every, wavelength_nm=wavelength, seed=seed, yes=yes)
+    earlier = work.EarlierData(series, spectra, lines, lamp_polariser)
+    asked = work.LightOptions(only, minutes=minutes, every_s=every, wavelength_nm=wavelength, seed=seed, yes=yes)
     with lost.whole(out):
         work.calibrate(rig, out, earlier, asked, valid_days)

@@ -13,7 +13,7 @@ from gonio.lab.by_hand.manual_rig import ManualRig, usual_band
 from gonio.lab.calibration.camera import CameraCalibration, calibrate_response, draw, require_8_bits
 from gonio.lab.calibration.camera import calibrate as reduced
 from gonio.lab.calibration.camera_frames import CameraFrame, read_list
-from gonio.lab.calibration.camera_scan import Scan
+from gonio.lab.calibration.camera_scan import CameraScan
 from gonio.lab.commands import opened
 from gonio.lab.rig.calibration_files import read_calibration, write_calibration
 from gonio.lab.rig.description import RigDescription
@@ -29,7 +29,7 @@ PROMPTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class CameraOptions:
     """How the rig is driven: the options of the command."""
 
     only: str
@@ -50,7 +50,7 @@ class Asked:
 
 
 def calibrate(
-    rig: str, out: Path, frames: Path | None, asked: Asked, *, response: bool, valid_days: int | None
+    rig: str, out: Path, frames: Path | None, asked: CameraOptions, *, response: bool, valid_days: int | None
 ) -> None:  # fmt: skip
     """Take the frames, or those of a folder, reduce them, and write the calibration with its maps and its picture.
 
@@ -97,13 +97,13 @@ def _has_response(description: RigDescription, rig: str) -> bool:
     return bool(description.camera.response) or any(isinstance(keys, dict) and keys.get("response") for keys in given)
 
 
-def _take(rig: str, folder: Path, kinds: list[str], asked: Asked) -> list[CameraFrame]:
+def _take(rig: str, folder: Path, kinds: list[str], asked: CameraOptions) -> list[CameraFrame]:
     """Drive the rig through all frames; those that were taken are kept whatever happens."""
     manual = opened.manual_rig_of(rig, "arms", "light", "camera", seed=asked.seed, without="camera")
     if asked.wavelength_nm is not None:
         manual.choose_band(asked.wavelength_nm)
     folder.mkdir()
-    scan = Scan(manual, folder, pairs=asked.pairs, say=console.note, counter=partial(console.counter, lines=True))
+    scan = CameraScan(manual, folder, pairs=asked.pairs, say=console.note, counter=partial(console.counter, lines=True))
     try:
         with opened.told_where(manual), manual:
             put(manual, "reference", yes=asked.yes)

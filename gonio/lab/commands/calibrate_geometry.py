@@ -39,7 +39,7 @@ Given = tuple[list[str], Floats, Floats]
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class GeometryOptions:
     """How the rig is driven: the options of the command."""
 
     holder: str | None
@@ -75,7 +75,7 @@ def print_sheet(rig: str, file: Path) -> None:
 
 
 def calibrate(
-    rig: str, out: Path | None, images: Path | None, board: Path | None, scans: Path | None, asked: Asked,
+    rig: str, out: Path | None, images: Path | None, board: Path | None, scans: Path | None, asked: GeometryOptions,
     valid_days: int,
 ) -> None:  # fmt: skip
     """Fit lens and geometry to pictures of a board, and to sightings that are kept or made now.
@@ -154,7 +154,7 @@ def _with_lens(description: RigDescription, found: Intrinsics) -> tuple[RigDescr
 
 
 def _measured(
-    choice: RigChoice, out: Path, holders: list[str] | None, asked: Asked
+    choice: RigChoice, out: Path, holders: list[str] | None, asked: GeometryOptions
 ) -> tuple[Sequence[Sighting], str]:  # fmt: skip
     """Drive the rig, and keep what was seen beside OUT; with what speaks against the rig file's camera."""
     folder = out.with_name(f"{out.stem}-sightings")

@@ -34,7 +34,7 @@ NO_ZERO_DEG = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Files:
+class EarlierData:
     """Earlier data: where there are any, they alone are evaluated."""
 
     series: Path | None
@@ -44,7 +44,7 @@ class Files:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class LightOptions:
     """How the rig is driven: the options of the command."""
 
     only: str
@@ -80,7 +80,7 @@ class _Found:
         return ParameterUncertainty.of(self.names, block_diag(*self.blocks) if self.names else np.zeros((0, 0)))
 
 
-def calibrate(rig: str, out: Path, earlier: Files, asked: Asked, valid_days: int | None) -> None:
+def calibrate(rig: str, out: Path, earlier: EarlierData, asked: LightOptions, valid_days: int | None) -> None:
     """Evaluate earlier data, or drive the rig; write what is found of the light.
 
     Raises
@@ -130,7 +130,7 @@ def calibrate(rig: str, out: Path, earlier: Files, asked: Asked, valid_days: int
 # ---- on the rig ----
 
 
-def _take(rig: str, out: Path, asked: Asked) -> tuple[Path | None, Path | None]:
+def _take(rig: str, out: Path, asked: LightOptions) -> tuple[Path | None, Path | None]:
     """The files of a series, and of flats, that are taken now beside OUT."""
     manual = opened.manual_rig_of(rig, "arms", "light", "camera", seed=asked.seed, without="light")
     if asked.wavelength_nm is not None:
@@ -151,7 +151,7 @@ def _take(rig: str, out: Path, asked: Asked) -> tuple[Path | None, Path | None]:
     return series, flats
 
 
-def _take_series(manual: ManualRig, out: Path, asked: Asked) -> Path:
+def _take_series(manual: ManualRig, out: Path, asked: LightOptions) -> Path:
     file = free_name(out, "series", ".csv")
     console.note(f"watching the lamp for {asked.minutes:g} minutes from when it is lit; it should be cold now")
     with console.counter("watching the lamp: seconds", lines=True) as progress:

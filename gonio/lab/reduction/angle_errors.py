@@ -8,7 +8,7 @@ import numpy as np
 
 from gonio.geometry import Directions, mirrored
 from gonio.lab.reduction import spikes
-from gonio.lab.reduction.angle_sensitivity import Curves
+from gonio.lab.reduction.angle_sensitivity import BandCurves
 from gonio.lab.reduction.geometry_errors import zero_u_deg
 from gonio.lab.reduction.step_rates import Reduced
 from gonio.lab.reduction.values import MeasuredBand, Values
@@ -60,17 +60,17 @@ def turned_over(d: Directions, behind: bool) -> Directions:
     return Directions(d.theta_i, d.phi_i, math.pi - d.theta_r, d.phi_r) if behind else d
 
 
-def curves_of(measured: MeasuredBand, brdf: Floats, u: Floats) -> Curves:
+def curves_of(measured: MeasuredBand, brdf: Floats, u: Floats) -> BandCurves:
     """How the values of a band, with their independent standard uncertainties [1/sr], follow the angles."""
     description = measured.description
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     goals = Directions.from_table(measured.frames.plan)[[point.point for point in measured.points]]
     goals = turned_over(goals, bool(len(goals)) and is_behind(goals[0]))
     read = Directions.stack([point.directions for point in measured.points])
-    return Curves(goals, read, brdf, u, cones, _overlaps(measured, cones), filling(description) == "under")
+    return BandCurves(goals, read, brdf, u, cones, _overlaps(measured, cones), filling(description) == "under")
 
 
-def add(measured: MeasuredBand, values: Values, curves: Curves) -> None:
+def add(measured: MeasuredBand, values: Values, curves: BandCurves) -> None:
     """The changes by every axis's reading and zero, by the geometry, and by the lobes over the region of interest.
 
     Of a spike the blur holds what errors of the angles do evenly.
@@ -124,7 +124,7 @@ def coarse_steps(
     cones = math.radians(description.lamp.half_angle_deg), math.radians(description.camera.lens_half_angle_deg)
     none = [spikes.OverlapFraction()] * len(poses)
     under = filling(description) == "under"
-    curves, variance = Curves(turned_over(goals, behind), read, brdf, u, cones, none, under), np.zeros(len(poses))
+    curves, variance = BandCurves(turned_over(goals, behind), read, brdf, u, cones, none, under), np.zeros(len(poses))
     for axis, error in (*encoder_steps(description).items(), *zero_uncertainties(description).items()):
         if error > 0 and (axis != "spin" or curves.directed):
             moved = [_moved(description, pose, axis, error) for pose in poses]
@@ -151,7 +151,7 @@ def _moved(description: RigDescription, pose: Pose, axis: str, by: float) -> Dir
 
 
 def _effects(
-    description: RigDescription, curves: Curves, points: list[Reduced], axis: str, u: float
+    description: RigDescription, curves: BandCurves, points: list[Reduced], axis: str, u: float
 ) -> tuple[Floats, Floats, Floats]:
     """Odd and even change [1/sr] of every value when an axis truly stands +-u [rad] from where it is read.
 
@@ -165,7 +165,7 @@ def _effects(
     return out[0], out[1], out[2]
 
 
-def _effects_of_geometry(measured: MeasuredBand, curves: Curves, brdf: Floats) -> tuple[Floats, Floats, Floats]:
+def _effects_of_geometry(measured: MeasuredBand, curves: BandCurves, brdf: Floats) -> tuple[Floats, Floats, Floats]:
     """Odd change [1/sr] of every value by every cause of `GeometryErrors`, shape (points, causes).
 
     And the sums over the causes of the squares of the even changes and of what the plan's steps leave open of them.

@@ -22,7 +22,7 @@ import numpy as np
 from gonio.geometry import AT_NORMAL, SAME_NOMINAL, Directions
 from gonio.lab.reduction.lobe_surface import Surface
 from gonio.lab.reduction.narrow_lobes import steepest
-from gonio.lab.reduction.spikes import OverlapFraction, Scene, find, overlap
+from gonio.lab.reduction.spikes import OverlapFraction, SpikeScene, find, overlap
 from gonio.typing import Bools, Floats, Ints
 
 NARROWEST = math.radians(0.2)
@@ -54,7 +54,7 @@ def from_above(d: Directions, azimuth: float) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Lobes:
+class PointLobes:
     """What is known of the lobe and of the spike at each point [1/sr], and of their slopes [1/sr per rad]."""
 
     lobe: Floats
@@ -78,7 +78,7 @@ class Lobes:
         return np.asarray(np.sqrt(np.einsum("i,nij,j->n", WITH_MIRROR, self.u_slopes, WITH_MIRROR)))
 
 
-class Curves:
+class BandCurves:
     """The measured values of one band as a function of directions, good for small steps around each point.
 
     Parameters
@@ -118,7 +118,9 @@ class Curves:
         middle = 0.5 * (read.theta_i + read.theta_r)
         seen = np.array([(s.mean, s.with_rare, s.at_read, s.most) for s in shares], dtype=float).reshape(-1, 4)
         mean, variance, at_read, most = seen.T
-        scene = Scene(theta_i, x - theta_i, y, in_plane, middle, brdf, u, mean, variance, at_read, most, half_angles)
+        scene = SpikeScene(
+            theta_i, x - theta_i, y, in_plane, middle, brdf, u, mean, variance, at_read, most, half_angles
+        )
         self.spikes = find(scene, groups)
         self.lobe, self.spike = self.spikes.lobe, self.spikes.amplitude
         small = max(3.0 * float(np.min(u, initial=np.inf)), 1e-9 * float(np.max(np.abs(brdf), initial=0.0)), 1e-300)
@@ -213,10 +215,10 @@ class Curves:
         first = abs(self.slope[k, :3] @ (x.mean(), across.mean(), theta_i.mean()))
         return float(first + 0.5 * self.curvature[k] @ (np.var(x - theta_i), np.var(across)))
 
-    def facts(self) -> Lobes:
+    def facts(self) -> PointLobes:
         """What of each point is known."""
         u_spike = self.spikes.u_amplitude * self.spikes.told
-        return Lobes(self.lobe, self.spike, u_spike, self.slope, self._slope_uncertainty, self.curvature)
+        return PointLobes(self.lobe, self.spike, u_spike, self.slope, self._slope_uncertainty, self.curvature)
 
     def slope_uncertainty(self, k: int, plus: Directions) -> float:
         """Standard uncertainty [1/sr] of the odd part of `effects`, from the uncertainty of the slopes."""

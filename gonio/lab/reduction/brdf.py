@@ -215,7 +215,7 @@ def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[R
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class ReferenceBand:
     """What is known of the reference in one band."""
 
     brdf: float
@@ -224,7 +224,7 @@ class Reference:
     """Relative standard uncertainty of that."""
 
 
-def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tuple[white_reference.Level, Reference]:
+def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tuple[white_reference.Level, ReferenceBand]:
     """The signal per unit BRDF at some times, and the reference's BRDF; errors as of `reduce_in_parts`."""
     description, reference = run.description, run.description.reference
     if not visits:
@@ -257,7 +257,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
     fitted = white_reference.fit(times, rates / known, variances / known**2, wanted_s, run.lit_anew_s)
-    return fitted, Reference(float(known.mean()), u_rel)
+    return fitted, ReferenceBand(float(known.mean()), u_rel)
 
 
 def _responsivities(measured: MeasuredBand) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from gonio.errors import ContradictoryFrame, DamagedFrame, DataError, os_error_a
 from gonio.lab.acquisition.exposure import contradiction, full_scale_dn
 from gonio.lab.acquisition.frame_writer import label_of
 from gonio.lab.acquisition.records import FrameRecord, StepRecord
-from gonio.lab.acquisition.repeats import REPEATED, Pictures, repeated, some_rows_sha256
+from gonio.lab.acquisition.repeats import REPEATED, FramePixels, repeated, some_rows_sha256
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import merging, stray_light
 from gonio.lab.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
@@ -80,7 +80,7 @@ class RunFrames:
         self.lost_visits: list[str] = []
         """The flags of the visits to the reference without frames."""
         self.geometry = GeometryErrors(run.description)
-        self._pictures = Pictures(run.description.camera)
+        self._pictures = FramePixels(run.description.camera)
         self._every = run.steps() if steps is None else steps
         darks: list[tuple[StepRecord, FrameRecord]] = []
         for step in self._every:
@@ -350,7 +350,7 @@ class RunFrames:
         rows, cols = np.nonzero(place.mask)
         return self.spread(frame, channel).at(rows + place.rows.start, cols + place.cols.start)
 
-    def spread(self, frame: Frame, channel: Channel) -> stray_light.Spread:
+    def spread(self, frame: Frame, channel: Channel) -> stray_light.SpreadLight:
         """The light that a frame spreads."""
         camera = self.description.camera
         level, slope = self._dark_means[channel]

@@ -77,7 +77,7 @@ def parameters(description: RigDescription) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Sights:
+class PatchSights:
     """What the middle of the region of interest sees at one pose that was read.
 
     Each as theta_i, phi_i, theta_r, phi_r [rad] and (d0 / d)^2, d being the distance from the lamp.
@@ -137,7 +137,7 @@ class GeometryErrors:
             )
         steps = (vectors[:, kept] * np.sqrt(values[kept]) * u[:, None]).T
         self._rigs = [tuple(self._moved(names, numbers, sign * step) for sign in (1.0, -1.0)) for step in steps]
-        self._seen: dict[tuple[Pose, Target], Sights] = {}
+        self._seen: dict[tuple[Pose, Target], PatchSights] = {}
 
     @property
     def count(self) -> int:
@@ -166,19 +166,19 @@ class GeometryErrors:
         known, changed = scale(self._description), [[scale(rig) for rig, _ in rigs] for rigs in self._rigs]
         return np.array(changed).reshape(-1, 2) / known
 
-    def at(self, pose: Pose, target: Target) -> Sights:
+    def at(self, pose: Pose, target: Target) -> PatchSights:
         """What is seen at a pose that was read; bands ask for the same."""
         if (pose, target) not in self._seen:
             place = imaging.place(self._description, kinematics.view(self._description, pose), target)
             known = _glance(self._description, {}, pose, place)
             changed = [[_glance(*moved, pose, place) for moved in rigs] for rigs in self._rigs]
             under = filling(self._description) == "under"
-            self._seen[pose, target] = Sights(known, np.array(changed).reshape(-1, 2, 5), under)
+            self._seen[pose, target] = PatchSights(known, np.array(changed).reshape(-1, 2, 5), under)
         return self._seen[pose, target]
 
 
 def _glance(rig: RigDescription, shifts: dict[str, float], pose: Pose, place: tuple[float, float]) -> Floats:
-    """One row of `Sights`."""
+    """One row of `PatchSights`."""
     if shifts:
         pose = replace(pose, **{name: getattr(pose, name) + by for name, by in shifts.items()})
     view = kinematics.view(rig, pose)

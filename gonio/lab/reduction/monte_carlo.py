@@ -2,7 +2,7 @@
 
 Every input is drawn from its own distribution, and each value is computed anew from rates on: level of the white
 reference, BRDF, and what the angles' errors do to it along curves through the measured values. None of the budget's
-columns is drawn, except those that `Check.as_columns` names. docs/budget.md says what is drawn, and how.
+columns is drawn, except those that `DrawsCheck.as_columns` names. docs/budget.md says what is drawn, and how.
 
 Limits of a value by drawing the inputs of any measurement equation (GUM supplement 1, JCGM 101:2008).
 
@@ -55,7 +55,7 @@ COMPUTED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class DrawsCheck:
     """What the draws say."""
 
     values: DataFrame
@@ -94,7 +94,7 @@ class Check:
 
 def check(
     run: Run, reduction: Reduction, draws: int, seed: int = 0, progress: Callable[[int, int], None] | None = None
-) -> Check:
+) -> DrawsCheck:
     """Draw the inputs of a reduced run, and hold its linear uncertainties against what comes out.
 
     Parameters
@@ -149,7 +149,7 @@ def check(
     out.attrs = {}
     if kept.size:
         kept[:, ~good] = math.nan
-    return Check(out, draws, kept, [name for name in more if name not in LAMP])
+    return DrawsCheck(out, draws, kept, [name for name in more if name not in LAMP])
 
 
 class _Inputs:

@@ -161,7 +161,7 @@ COARSE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class SpikeScene:
     """The points of a band, as the search for spikes sees them; arrays have one number a point."""
 
     theta_i: Floats
@@ -225,7 +225,7 @@ class _Fit:
     stands_out: bool
 
 
-def _fits(scene: Scene, groups: Sequence[Places], near: Bools) -> list[_Fit | None]:
+def _fits(scene: SpikeScene, groups: Sequence[Places], near: Bools) -> list[_Fit | None]:
     """A fit of each group that may see a spike; with groups at nearly the same angle, where one alone does not tell."""
     centres = [float(np.mean(scene.theta_i[group])) for group in groups]
     fits: list[_Fit | None] = []
@@ -239,7 +239,7 @@ def _fits(scene: Scene, groups: Sequence[Places], near: Bools) -> list[_Fit | No
     return fits
 
 
-def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
+def find(scene: SpikeScene, groups: Sequence[Places]) -> Spikes:
     """Spikes of a band.
 
     Parameters
@@ -294,7 +294,7 @@ def find(scene: Scene, groups: Sequence[Places]) -> Spikes:
     return out
 
 
-def _fit(scene: Scene, group: Places, near: Bools, own: Places | None = None) -> _Fit:
+def _fit(scene: SpikeScene, group: Places, near: Bools, own: Places | None = None) -> _Fit:
     """Lobe and spike of a group of points; `lobe` is that of the points of `own`, all by default."""
     k = group[near[group]]
     values, share, variance = scene.brdf[k], scene.mean[k], scene.variance[k]
@@ -348,7 +348,7 @@ def _fit(scene: Scene, group: Places, near: Bools, own: Places | None = None) ->
     )
 
 
-def _bound(scene: Scene, k: Places, theta: float) -> float:
+def _bound(scene: SpikeScene, k: Places, theta: float) -> float:
     """The largest amplitude that points allow: a spike reflects at most all light, and is part of each value."""
     most = 1.0 / (math.cos(theta) * float(solid_angle_of_cone(max(scene.half_angles))))
     values = np.maximum(scene.brdf[k], 0.0) + 2.0 * scene.u[k]
@@ -362,7 +362,7 @@ def _largest(share: Floats, variance: Floats, values: Floats) -> float:
     return max(float(np.min(values[seen] / surely[seen])), 0.0) if seen.any() else math.inf
 
 
-def _lobe_below(scene: Scene, group: Places, near: Bools) -> tuple[Floats, float]:
+def _lobe_below(scene: SpikeScene, group: Places, near: Bools) -> tuple[Floats, float]:
     """Lobe under the points of a group that may see the spike, and its relative standard uncertainty."""
     k, free = group[near[group]], group[~near[group] & (scene.brdf[group] > 0.0)]
     x = scene.across[k]

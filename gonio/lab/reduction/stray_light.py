@@ -33,7 +33,7 @@ def pitch(camera: Camera, channel: Channel) -> int:
 
 
 @dataclass(frozen=True)
-class Spread:
+class SpreadLight:
     """The light that one frame spreads."""
 
     uniform: float
@@ -56,7 +56,7 @@ class Spread:
         return self.camera.stray_light * by[0] + self.camera.stray_halo * by[1], by
 
 
-def spread(camera: Camera, values: Array, dark_dn: float, channel: Channel) -> Spread:
+def spread(camera: Camera, values: Array, dark_dn: float, channel: Channel) -> SpreadLight:
     """What one frame spreads.
 
     Parameters
@@ -69,7 +69,7 @@ def spread(camera: Camera, values: Array, dark_dn: float, channel: Channel) -> S
     step, picture = pitch(camera, channel), planes(camera, values, channel)
     if not camera.stray_halo:
         mean = float(picture.mean(dtype=np.float64)) - dark_dn
-        return Spread(mean / (1.0 + camera.stray_light), None, (1.0, 1.0), camera)
+        return SpreadLight(mean / (1.0 + camera.stray_light), None, (1.0, 1.0), camera)
     import cv2
     from scipy.ndimage import gaussian_filter
 
@@ -85,7 +85,7 @@ def spread(camera: Camera, values: Array, dark_dn: float, channel: Channel) -> S
 
     once = stray(small)
     scene = small - once + stray(once)
-    return Spread(float(scene.mean()), np.asarray(gaussian_filter(scene, sigma, mode="constant")), bin_px, camera)
+    return SpreadLight(float(scene.mean()), np.asarray(gaussian_filter(scene, sigma, mode="constant")), bin_px, camera)
 
 
 def mean_of_channel(camera: Camera, values: Array, channel: Channel) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 import gonio
 from gonio import geometry
 from gonio.checks.values import values_of
-from gonio.checks.verdicts import Check, Taken, VisitsOfBand, of_run, of_values
+from gonio.checks.verdicts import Check, FramesTaken, VisitsOfBand, of_run, of_values
 from gonio.geometry import SAME_AZIMUTH, Directions, half_angle_of_cone
 from gonio.lab.acquisition.plan import ANGLES
 from gonio.lab.acquisition.resuming import unfinished
@@ -182,7 +182,7 @@ def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check
         u_drift_per_hour=level.u_slope / level.level * 3600.0,
         peak_to_peak=float(np.ptp(level.values)) / mean,
     )
-    taken = Taken(result.frames, result.left_out, result.scatter, result.freedom, clipped, flags)
+    taken = FramesTaken(result.frames, result.left_out, result.scatter, result.freedom, clipped, flags)
     return of_run(taken, visits, result.band.name)
 
 

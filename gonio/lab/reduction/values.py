@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gonio.lab.reduction import white_reference
-from gonio.lab.reduction.angle_sensitivity import Lobes
+from gonio.lab.reduction.angle_sensitivity import PointLobes
 from gonio.lab.reduction.count_rates import RunFrames
 from gonio.lab.reduction.dark_signal import strongest
 from gonio.lab.reduction.step_rates import Reduced
@@ -55,7 +55,7 @@ class Values:
     """The values of some points [1/sr], and what is known of each."""
 
     brdf: Floats
-    lobes: Lobes
+    lobes: PointLobes
     """How the values follow the angles."""
     bounded: Bools
     """Whether a value may see a spike of which only a bound is known."""

@@ -21,7 +21,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class Hull:
     """All that lies within `radius` of the hull of some points, each in the frame of what carries it [mm]."""
 
     body: str
@@ -51,11 +51,11 @@ def _levers(on: str, point: Vector, frames: Floats) -> dict[int, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Pairs:
+class BodyPairs:
     """Bodies two by two, which some axes move against each other; arrays as of `_clearance.first_too_close`."""
 
     axes: tuple[int, ...]
-    shapes: tuple[tuple[Shape, Shape], ...]
+    shapes: tuple[tuple[Hull, Hull], ...]
     tied: Bools
     on: np.ndarray
     points: Floats
@@ -85,7 +85,7 @@ def placed(on: Sequence[str], points: Sequence[Vector], angles: Floats, frames: 
     return out
 
 
-def _together(axes: tuple[int, ...], pairs: list[tuple[bool, Shape, Shape, float]], frames: Floats) -> Pairs:
+def _together(axes: tuple[int, ...], pairs: list[tuple[bool, Hull, Hull, float]], frames: Floats) -> BodyPairs:
     tied, distances = np.array([tied for tied, *_ in pairs]), np.array([distance for *_, distance in pairs], float)
     points, levers = np.zeros((len(pairs), 2, 8, 3)), np.zeros((len(pairs), len(kinematics.AXES)))
     for number, (_, *shapes, _) in enumerate(pairs):
@@ -93,7 +93,7 @@ def _together(axes: tuple[int, ...], pairs: list[tuple[bool, Shape, Shape, float
             points[number, which, : len(shape.points)] = shape.points
             for axis, lever in shape.levers(frames).items():
                 levers[number, axis] += lever
-    return Pairs(
+    return BodyPairs(
         axes=axes,
         shapes=tuple((one, other) for _, one, other, _ in pairs),
         tied=tied,
@@ -107,8 +107,8 @@ def _together(axes: tuple[int, ...], pairs: list[tuple[bool, Shape, Shape, float
 
 
 def _pairs(
-    shapes: Sequence[Shape], cables: Sequence[Cable], geometry: Geometry
-) -> Iterator[tuple[bool, Shape, Shape, float]]:
+    shapes: Sequence[Hull], cables: Sequence[Cable], geometry: Geometry
+) -> Iterator[tuple[bool, Hull, Hull, float]]:
     """Every two shapes that can move against each other, and the two ends of each cable.
 
     Cables may lie on each other, and on what carries their own ends.
@@ -117,8 +117,8 @@ def _pairs(
         if not ((one.cable and other.cable) or {*map(_carrier, one.on)} & {*map(_carrier, other.on)}):
             yield False, one, other, one.radius + other.radius + geometry.clearance_mm
     for cable in cables:
-        one = Shape(cable.name, (cable.from_on, cable.to_on), (cable.from_mm,), 0.0, cable=True)
-        other = Shape(cable.name, (cable.to_on, cable.from_on), (cable.to_mm,), 0.0, cable=True)
+        one = Hull(cable.name, (cable.from_on, cable.to_on), (cable.from_mm,), 0.0, cable=True)
+        other = Hull(cable.name, (cable.to_on, cable.from_on), (cable.to_mm,), 0.0, cable=True)
         yield True, one, other, cable.length_mm
 
 
@@ -126,10 +126,10 @@ def _carrier(on: str) -> str:
     return "holder" if on in ("tilt", "spin") else on
 
 
-def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms) -> tuple[Shape, ...]:
+def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geometry, arms: Arms) -> tuple[Hull, ...]:
     """The two heads, the bodies, and the cables that hang."""
     heads = [
-        Shape(name, (on, on), (kinematics.head(axis, distance),), radius)
+        Hull(name, (on, on), (kinematics.head(axis, distance),), radius)
         for name, on, axis, distance, radius in (
             ("source head", "light", arms.light, geometry.light_distance_mm, geometry.light_body_radius_mm),
             ("camera head", "camera", arms.camera, geometry.camera_distance_mm, geometry.camera_body_radius_mm),
@@ -137,19 +137,19 @@ def _shapes(bodies: tuple[Body, ...], cables: tuple[Cable, ...], geometry: Geome
         if radius > 0.0
     ]
     hanging = [
-        Shape(c.name, (c.from_on, c.to_on), (c.from_mm, c.to_mm), c.radius_mm + c.sag_mm, cable=True)
+        Hull(c.name, (c.from_on, c.to_on), (c.from_mm, c.to_mm), c.radius_mm + c.sag_mm, cable=True)
         for c in cables
         if c.sag_mm is not None
     ]
     return (*heads, *map(_shape, bodies), *hanging)
 
 
-def _shape(body: Body) -> Shape:
+def _shape(body: Body) -> Hull:
     if body.from_mm is not None and body.to_mm is not None and body.radius_mm is not None:
         points = (body.from_mm,) if body.from_mm == body.to_mm else (body.from_mm, body.to_mm)
-        return Shape(body.name, (body.on, body.on), points, body.radius_mm)
+        return Hull(body.name, (body.on, body.on), points, body.radius_mm)
     assert body.centre_mm is not None
     assert body.size_mm is not None
     sides = [(c - s / 2, c + s / 2) for c, s in zip(body.centre_mm, body.size_mm, strict=True)]
     corners = tuple((x, y, z) for x in sides[0] for y in sides[1] for z in sides[2])
-    return Shape(body.name, (body.on, body.on), corners, 0.0)
+    return Hull(body.name, (body.on, body.on), corners, 0.0)

@@ -27,8 +27,8 @@ from gonio.lab.rig.bodies import (
     CARRIERS,
     FINEST_MM,
     PLANNED_MM,
-    Pairs,
-    Shape,
+    BodyPairs,
+    Hull,
     _pairs,
     _shapes,
     _together,
@@ -82,8 +82,8 @@ class Space:
     approach: Angles
     frames: Floats
     clearance: float
-    shapes: tuple[Shape, ...]
-    groups: tuple[Pairs, ...]
+    shapes: tuple[Hull, ...]
+    groups: tuple[BodyPairs, ...]
     harmonics: tuple[tuple[tuple[int, float, float], ...], ...]
     """Harmonics of the encoder of each axis of `AXES` [rad]."""
     known: dict[tuple[object, ...], tuple[int, tuple[float, ...]]] = field(default_factory=dict)
@@ -230,7 +230,7 @@ def clearances(description: RigDescription, poses: Sequence[Pose]) -> list[dict[
     return out
 
 
-def _ends(cable: Shape) -> tuple[str, str]:
+def _ends(cable: Hull) -> tuple[str, str]:
     return f"{cable.body}, {cable.on[0]} end", f"{cable.body}, {cable.on[1]} end"
 
 
@@ -279,7 +279,7 @@ def _turned(start: Angles, goal: Angles, axes: Collection[int]) -> Angles:
     return light, camera, tilt, spin, azimuth
 
 
-def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pairs, int, tuple[float, ...]] | None:
+def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[BodyPairs, int, tuple[float, ...]] | None:
     """None where every combination of angles between start and goal, approach included, is free; else two bodies, and
     angles at which they are too close."""
     from gonio.lab.rig import _clearance
@@ -302,7 +302,7 @@ def _met(space: Space, start: Angles, goal: Angles, planned: bool) -> tuple[Pair
     return None
 
 
-def _blocked(space: Space, start: Angles, goal: Angles, group: Pairs, pair: int, near: Sequence[float]) -> Blocked:
+def _blocked(space: Space, start: Angles, goal: Angles, group: BodyPairs, pair: int, near: Sequence[float]) -> Blocked:
     """What is in the way from start to goal, by `_met`."""
     one, other = group.shapes[pair]
     torn = group.tied[pair]
@@ -441,7 +441,7 @@ def _space(
     approach = {name: math.radians(value) for name, value in approach_deg}
     frames = kinematics.frames(arms, holder)
     shapes = _shapes(bodies, cables, geometry, arms)
-    by_axes: dict[tuple[int, ...], list[tuple[bool, Shape, Shape, float]]] = {}
+    by_axes: dict[tuple[int, ...], list[tuple[bool, Hull, Hull, float]]] = {}
     for tied, one, other, distance in _pairs(shapes, cables, geometry):
         axes = tuple(sorted({*one.levers(frames), *other.levers(frames)}))
         by_axes.setdefault(axes, []).append((tied, one, other, distance))

@@ -31,7 +31,7 @@ class Shine:
     band: Band | None = None
 
 
-class Lamp(Device):
+class LampTwin(Device):
     """What the three have in common: lines in, lines out, faults, resets.
 
     Parameters
@@ -106,7 +106,7 @@ class Lamp(Device):
         self.shine = Shine(channel is not None, level, self.bands[channel - 1] if channel and self.bands else None)
 
 
-class ScpiLamp(Lamp):
+class ScpiLamp(LampTwin):
     """`OUTPut`, `SOURce:LEVel` [%], `SOURce:WAVelength` [nm], `SYSTem:ERRor?`, `MEASure:POWer?`, `SOURce:LOCK?`."""
 
     bauds = (9600, 115_200)
@@ -169,7 +169,7 @@ class ScpiLamp(Lamp):
             raise KeyError(short)
 
 
-class MightexLamp(Lamp):
+class MightexLamp(LampTwin):
     """`MODE`, `NORMAL`, `CURRENT`, `?MODE`, `?CURRENT`, `DEVICEINFO`; currents in mA, a channel for each band."""
 
     ending = b"\n\r"
@@ -221,7 +221,7 @@ class MightexLamp(Lamp):
         self._current[channel] = most, now
 
 
-class ArduinoLamp(Lamp):
+class ArduinoLamp(LampTwin):
     """`ID`, `SET channel level`, `GET channel`, `ON channel`, `OFF`, `STATE`, `PD`; restarts when it is opened."""
 
     bauds = (115_200,)
@@ -275,7 +275,7 @@ class ArduinoLamp(Lamp):
         return "OK"
 
 
-LAMPS: dict[str, type[Lamp]] = {"scpi": ScpiLamp, "mightex": MightexLamp, "arduino": ArduinoLamp}
+LAMPS: dict[str, type[LampTwin]] = {"scpi": ScpiLamp, "mightex": MightexLamp, "arduino": ArduinoLamp}
 
 
 def _within(value: float, low: float, high: float) -> float:

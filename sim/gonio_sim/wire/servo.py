@@ -351,13 +351,13 @@ class Servo:
     def _goal_here(self) -> None:
         self.registers.put("Goal Position", self._said(self._shaft()[0]))
 
-    def _checked(self, address: int, data: bytes) -> list[tuple[tables.Item, int]]:
+    def _checked(self, address: int, data: bytes) -> list[tuple[tables.TableItem, int]]:
         pairs = self.registers.items(address, data)
         for item, value in pairs:
             self._check(item, value)
         return pairs
 
-    def _check(self, item: tables.Item, value: int) -> None:
+    def _check(self, item: tables.TableItem, value: int) -> None:
         """Raise `Refused` where a value may not be written now."""
         name, mode = item.name, self.get("Operating Mode")
         low, high = self.table.ranges.get(name, (-(1 << 31), 1 << 32))
@@ -567,7 +567,7 @@ class Servo:
         return round(20 * math.tanh(error / 20)) + units // 8 if self.torque else 0
 
 
-def _kept(item: tables.Item) -> bool:
+def _kept(item: tables.TableItem) -> bool:
     """Whether a backup holds it."""
     if item.address < tables.EEPROM_END:
         return item.writable

@@ -99,7 +99,7 @@ _VOLTAGES = {  # lowest that a limit may be, factory's lower limit, nominal, hig
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class TableItem:
     """One entry of a control table."""
 
     name: str
@@ -116,12 +116,12 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class FactoryTable:
     """A model's control table with its factory values."""
 
     model: str
     number: int
-    items: dict[str, Item]
+    items: dict[str, TableItem]
     factory: dict[str, int]
 
     size: int
@@ -138,7 +138,7 @@ class Table:
 
 
 @cache
-def table(model: str) -> Table:
+def table(model: str) -> FactoryTable:
     """The control table of a model, as "xm430-w350".
 
     Raises
@@ -153,14 +153,14 @@ def table(model: str) -> Table:
         raise ConfigError(f'"{model}" is no servo of the X series that the SDK knows: {", ".join(x_series)}')
     number = known[model.lower()]
     listed = ControlTable.getControlTable(number).items()
-    items = {n: Item(n, entry.address, entry.size) for n, entry in listed if not n.startswith("Indirect")}
-    items["Startup Configuration"] = Item("Startup Configuration", 60, 1)  # the SDK's files lack these two
-    items["Backup Ready"] = Item("Backup Ready", 147, 1)
+    items = {n: TableItem(n, entry.address, entry.size) for n, entry in listed if not n.startswith("Indirect")}
+    items["Startup Configuration"] = TableItem("Startup Configuration", 60, 1)  # the SDK's files lack these two
+    items["Backup Ready"] = TableItem("Backup Ready", 147, 1)
     small = model[:5].lower() in ("xl330", "xc330")
     for first, number_of, address, data in ((1, 20, 168, 208),) if small else ((1, 28, 168, 224), (29, 28, 578, 634)):
         for k in range(number_of):
-            items[f"Indirect Address {first + k}"] = Item(f"Indirect Address {first + k}", address + 2 * k, 2)
-            items[f"Indirect Data {first + k}"] = Item(f"Indirect Data {first + k}", data + k, 1)
+            items[f"Indirect Address {first + k}"] = TableItem(f"Indirect Address {first + k}", address + 2 * k, 2)
+            items[f"Indirect Data {first + k}"] = TableItem(f"Indirect Data {first + k}", data + k, 1)
     defined = frozenset(item.address + k for item in items.values() for k in range(item.size))
     factory = _FACTORY | {"Velocity Limit": _VELOCITY_LIMITS[model.lower()]}
     for beginning, values in _FACTORY_BY_FAMILY.items():
@@ -180,7 +180,7 @@ def table(model: str) -> Table:
             ranges[name] = EEPROM_END, max(defined)
     modes = MODES if "Current Limit" in items else MODES_WITHOUT_CURRENT
     bits = 0x0F if model[:5].lower() in ("xm540", "xh540", "xd540") else 0x0D  # these have a cable for a second servo
-    return Table(model.lower(), number, items, factory, max(defined) + 1, defined, supply, ranges, modes, bits)
+    return FactoryTable(model.lower(), number, items, factory, max(defined) + 1, defined, supply, ranges, modes, bits)
 
 
 class Refused(Exception):
@@ -200,7 +200,7 @@ class Registers:
         The items of its model.
     """
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: FactoryTable) -> None:
         self.table = table
         self._bytes = bytearray(table.size)
         self._at = {item.address: item for item in table.items.values()}
@@ -244,7 +244,7 @@ class Registers:
         pointer = self._pointers.get(address)
         return address if pointer is None else int.from_bytes(self._bytes[pointer : pointer + 2], "little")
 
-    def items(self, address: int, data: bytes) -> list[tuple[Item, int]]:
+    def items(self, address: int, data: bytes) -> list[tuple[TableItem, int]]:
         """The items that a write covers, each wholly and each writable, with the values that they are to take.
 
         Indirect data may mean items that are not adjacent, in any order; the bytes of each are together.

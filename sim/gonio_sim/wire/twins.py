@@ -29,7 +29,7 @@ from gonio_sim.render import Renderer
 from gonio_sim.wire import faults as fault_names
 from gonio_sim.wire.bus import ServoBus
 from gonio_sim.wire.kinesis import COUNTS_PER_DEG, KinesisTwin
-from gonio_sim.wire.lamps import LAMPS, Lamp, Shine
+from gonio_sim.wire.lamps import LAMPS, LampTwin, Shine
 from gonio_sim.wire.peer import Clock, Device, SerialPeer, SocketPeer, scaled_clock
 from gonio_sim.wire.servo import Mechanics, Servo
 from gonio_sim.wire.tether import TetheredCamera
@@ -144,7 +144,7 @@ class WireWorld(World):
 
 
 @dataclass(slots=True)
-class Follower:
+class TwinArm:
     """The arm behind a servo or on a stage: backlash, and a zero that is not quite where it was thought to be."""
 
     shaft: Callable[[], float]
@@ -222,11 +222,11 @@ class Twins:
         self.world = WireWorld(description, sample, seed, self._clock)
         self._render = SimulatedCamera(self.world, Renderer(self.world))
         self._looking = threading.Lock()
-        self.followers: dict[str, Follower] = {}
+        self.followers: dict[str, TwinArm] = {}
         self.servos = self._built_servos(np.random.default_rng([seed, 77]), short_counts)
         self.stages = self._built_stages()
         self.bus = ServoBus(self.servos.values(), self.faults)
-        self.lamp: Lamp = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
+        self.lamp: LampTwin = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
         self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
         self.peers: dict[str, SerialPeer | SocketPeer] = {}
         self._stack = contextlib.ExitStack()
@@ -268,7 +268,7 @@ class Twins:
         known = self.world.truth.axes()
         if name in known:
             above = isinstance(twin, Servo) and self.world.description.approach_deg()[name] < 0
-            arm = Follower(shaft, turned, known[name], float(self.world.zero_error[name]), above)
+            arm = TwinArm(shaft, turned, known[name], float(self.world.zero_error[name]), above)
             self.followers[name], twin.leaving = arm, arm.follow
 
     def __enter__(self) -> Self:

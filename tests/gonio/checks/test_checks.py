@@ -12,7 +12,7 @@ from gonio.checks import verdicts
 from gonio.checks.hemisphere import reflectances
 from gonio.checks.symmetry import repeats, symmetries
 from gonio.checks.values import CheckedValues, incidences, values_of
-from gonio.checks.verdicts import Taken, VisitsOfBand, of_energy, of_pairs, of_run, of_values
+from gonio.checks.verdicts import FramesTaken, VisitsOfBand, of_energy, of_pairs, of_run, of_values
 from gonio.geometry import Directions
 from gonio.typing import Floats
 from tests.command_line import some
@@ -22,7 +22,7 @@ OVER = VisitsOfBand(
     used=5, lost=(), unknown="", straight=True, chi_square=2.0, drift_per_hour=0.003, u_drift_per_hour=0.001,
     peak_to_peak=0.004,
 )  # fmt: skip
-WELL = Taken(frames=100, frames_left_out=0, scatter=1.0, freedom=60, clipped=0.0, flags=[""] * 40)
+WELL = FramesTaken(frames=100, frames_left_out=0, scatter=1.0, freedom=60, clipped=0.0, flags=[""] * 40)
 
 
 def grid(theta_i: tuple[float, ...] = (20.0, 40.0, 60.0), turn: float = 0.0) -> Directions:
@@ -182,7 +182,7 @@ def test_energy_is_judged_by_the_uncertainty() -> None:
         (replace(WELL, clipped=1.0), OVER, "", "ok"),
     ],
 )
-def test_what_is_wrong_with_a_run_is_named(taken: Taken, visits: VisitsOfBand, name: str, verdict: str) -> None:
+def test_what_is_wrong_with_a_run_is_named(taken: FramesTaken, visits: VisitsOfBand, name: str, verdict: str) -> None:
     found = of_run(taken, visits, "green")
     assert {c.name: c.verdict for c in found if c.verdict != "ok"} == ({name: verdict} if name else {})
     assert all(c.band == "green" and (c.limit or c.verdict == "undetermined") for c in found)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.lab.commands.align import End, Jog, JogKeys, Line
+from gonio.lab.commands.align import End, Jog, JogKeys, LineDone
 from tests.command_line import gonio
 
 SCRIPT = """
@@ -164,9 +164,9 @@ def test_a_line_is_what_was_typed_when_it_ends() -> None:
     keys = JogKeys(AXES)
     assert keys.feed(b"lamp onn") == []
     assert keys.typed == "lamp onn"
-    assert keys.feed(b"\x7f\n") == [Line("lamp on")]
-    assert keys.feed(b"rubbish\x15help\r") == [Line("help")]
-    assert keys.feed(b"\n") == [Line("")]
+    assert keys.feed(b"\x7f\n") == [LineDone("lamp on")]
+    assert keys.feed(b"rubbish\x15help\r") == [LineDone("help")]
+    assert keys.feed(b"\n") == [LineDone("")]
     assert keys.feed(b"\x04") == [End()]
 
 
@@ -186,8 +186,8 @@ def test_sequences_may_come_in_parts_and_unknown_ones_mean_nothing() -> None:
     assert keys.feed(b"[") == []
     assert keys.feed(b"C") == [Jog("light", 0.5)]
     assert keys.feed(b"\x1b[3~\x1b[1;5H\x1bxab\xc3") == []
-    assert keys.feed(b"\xa9\n") == [Line("ab\xe9")]
-    assert keys.feed(b"\x1b[Z\xff\n") == [Line("\ufffd")]
+    assert keys.feed(b"\xa9\n") == [LineDone("ab\xe9")]
+    assert keys.feed(b"\x1b[Z\xff\n") == [LineDone("\ufffd")]
 
 
 def test_wrong_wishes_are_refused_before_anything_is_opened(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from gonio.geometry import Directions
 from gonio.models import gaussian_process as gp
-from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, Pairs, Process, Training
+from gonio.models.gaussian_process import NAMES, OF_CURVES, Coordinates, PlacePairs, Process, Training
 
 
 def directions(count: int, seed: int) -> Directions:
@@ -50,11 +50,11 @@ def test_what_is_known_is_the_conditional_distribution() -> None:
     z, u, causes = rng.normal(0, 1, 12), rng.uniform(0.01, 0.1, 12), rng.normal(0, 0.05, (12, 1))
     process = Process(Training(at, z, u, causes), OF_CURVES.centres, 0.3)
     mean, covariance = process.mean_at(there), process.covariance_at(there)
-    k = Pairs(at, at).kernel(OF_CURVES.centres) + np.diag(u**2) + causes @ causes.T
-    cross = Pairs(there, at).kernel(OF_CURVES.centres)
+    k = PlacePairs(at, at).kernel(OF_CURVES.centres) + np.diag(u**2) + causes @ causes.T
+    cross = PlacePairs(there, at).kernel(OF_CURVES.centres)
     # Rasmussen and Williams (2006), eqs. 2.23 and 2.24; the jitter is 1e-10
     np.testing.assert_allclose(mean, 0.3 + cross @ np.linalg.solve(k, z - 0.3), atol=1e-4)
-    prior = Pairs(there, there).kernel(OF_CURVES.centres)
+    prior = PlacePairs(there, there).kernel(OF_CURVES.centres)
     np.testing.assert_allclose(covariance, prior - cross @ np.linalg.solve(k, cross.T), atol=1e-5)
 
 
@@ -66,7 +66,7 @@ def test_variances_are_the_diagonals_of_the_covariances_with_and_without_values(
     process = Process(values, OF_CURVES.centres + rng.normal(0, 0.5, len(NAMES)), 0.3)
     effects = rng.normal(0, 0.1, (5, 2))
     # the smallest is a thousandth of the largest
-    prior = np.diag(Pairs(there, there, OF_CURVES).kernel(process.p))
+    prior = np.diag(PlacePairs(there, there, OF_CURVES).kernel(process.p))
     np.testing.assert_allclose(process.prior_variance_at(there), prior, rtol=1e-9)
     for more in (None, effects):
         known = np.diag(process.covariance_at(there, more))

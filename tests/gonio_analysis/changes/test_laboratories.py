@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis.changes import laboratories as comparison
-from gonio_analysis.changes.laboratories import Comparison, Laboratory
+from gonio_analysis.changes.laboratories import LaboratoryComparison, LaboratoryVerdict
 from gonio_analysis.changes.point_by_point import of_table
 from gonio_analysis.report.change_figures import _on_overview
 from gonio_analysis.report.laboratories import names
@@ -71,11 +71,11 @@ def measured(
     return frame.assign(s_reference=s_reference, s_theta_r_zero=s_zero)
 
 
-def compared(tables: dict[str, pd.DataFrame], **shared: list[str] | None) -> Comparison:
+def compared(tables: dict[str, pd.DataFrame], **shared: list[str] | None) -> LaboratoryComparison:
     return comparison.compared([of_table(name, name, one) for name, one in tables.items()], shared)
 
 
-def by_name(found: Comparison) -> dict[str, Laboratory]:
+def by_name(found: LaboratoryComparison) -> dict[str, LaboratoryVerdict]:
     return {x.name: x for x in found.laboratories}
 
 
@@ -320,7 +320,7 @@ def test_laboratories_are_called_by_what_tells_them_apart() -> None:
 @pytest.mark.parametrize("reach", [0.0024, 0.013, 0.4, 5.2, 97.0])
 def test_ticks_of_the_overview_do_not_touch_each_other(reach: float) -> None:
     who = [
-        Laboratory(
+        LaboratoryVerdict(
             name=name, source=name, scale=1.0 + d, u_scale=0.01 * reach, degree=d, u_degree=0.002 * reach,
             scale_consistent=True, zero=np.radians(100 * d), u_zero=np.radians(0.2 * reach), zero_consistent=True,
             scatter=1.0 + reach, scatter_consistent=True,

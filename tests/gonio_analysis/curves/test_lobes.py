@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 from gonio_analysis.curves.in_plane import curves
-from gonio_analysis.curves.lobes import Lobe, lobe
+from gonio_analysis.curves.lobes import CurveLobe, lobe
 from gonio_analysis.fitting.observations import observations
 
 from gonio.models import build
 from tests.gonio_analysis.synthetic import known, measure
 
 
-def lobes(model: object, **how: object) -> list[Lobe]:
+def lobes(model: object, **how: object) -> list[CurveLobe]:
     data = observations(measure(model, incidences=(10.0, 30.0, 60.0), **how))  # type: ignore[arg-type]
     return [known(lobe(curve, data)) for curve in curves(data)]
 

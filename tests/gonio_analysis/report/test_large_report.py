@@ -23,7 +23,7 @@ from gonio_analysis.report.blocks import Figures, section
 from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.text import glued
 from gonio_analysis.result_records import as_json
-from gonio_analysis.selection.choice import Choice, choose
+from gonio_analysis.selection.choice import ModelChoice, choose
 from gonio_analysis.selection.judging import Candidate
 
 from gonio import measurement
@@ -271,7 +271,7 @@ def test_a_choice_is_the_same_whoever_works_it_out() -> None:
     with figure_workers(8, processes=2) as workers:
         shared = choose(data, [Candidate(m) for m in models], share=workers.share)
 
-    def numbers(c: Choice) -> Any:
+    def numbers(c: ModelChoice) -> Any:
         return [as_json(replace(x, wall_s=0.0)) for x in c.judged], as_json(c.intervals)
 
     assert numbers(shared) == numbers(alone)

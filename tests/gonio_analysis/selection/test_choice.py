@@ -15,7 +15,7 @@ from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import choice as choosing
-from gonio_analysis.selection.choice import Choice, candidates, choose
+from gonio_analysis.selection.choice import ModelChoice, candidates, choose
 from gonio_analysis.selection.judging import Candidate, blocks
 from gonio_analysis.selection.regions import incidences
 
@@ -30,7 +30,7 @@ PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "d
 SOME = ("lambert", "oren-nayar", "phong", "cook-torrance")
 
 
-def decide(table: pd.DataFrame, models: Sequence[str] = SOME, **options: Any) -> Choice:
+def decide(table: pd.DataFrame, models: Sequence[str] = SOME, **options: Any) -> ModelChoice:
     return choose(observations(table), [Candidate(m) for m in models], **options)
 
 

@@ -32,7 +32,7 @@ def tables(folder: Path, count: int = 3) -> Path:
     return folder
 
 
-def made(folder: Path, out: Path, asked: FitRequest = ASKED) -> many_tables.Outcome:
+def made(folder: Path, out: Path, asked: FitRequest = ASKED) -> many_tables.TablesOutcome:
     """Fit them."""
     return many_tables.make(str(folder), out, asked, Reading(), count=lambda done, total: None)
 

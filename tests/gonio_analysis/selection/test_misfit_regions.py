@@ -10,7 +10,7 @@ from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.report import verdict
-from gonio_analysis.selection.regions import FEWEST, Region, farthest, times, worst
+from gonio_analysis.selection.regions import FEWEST, WorstRegion, farthest, times, worst
 
 from gonio.formats.reader import table
 from gonio.typing import Floats
@@ -192,7 +192,7 @@ def test_how_a_model_stands_to_a_measurement(ratio: float, words: str) -> None:
 def test_a_region_is_off_one_way_where_its_median_is_most_of_its_scatter(part: float, words: str) -> None:
     typical = 0.2
     for sign, said in ((1, words), (-1, words.replace("high", "low"))):
-        assert said in Region("", 4, 4 * typical**2, 1.0, float(np.exp(sign * part * typical)), typical).off
+        assert said in WorstRegion("", 4, 4 * typical**2, 1.0, float(np.exp(sign * part * typical)), typical).off
 
 
 @pytest.mark.parametrize(
@@ -204,6 +204,6 @@ def test_a_region_is_off_one_way_where_its_median_is_most_of_its_scatter(part: f
     ],
 )
 def test_a_region_is_said_on_the_scale_of_tau(typical: float, ratio: float, words: str) -> None:
-    region = Region("θi = 45°, around the mirror direction", 4, 4 * typical**2, 1.0, ratio, typical)
+    region = WorstRegion("θi = 45°, around the mirror direction", 4, 4 * typical**2, 1.0, ratio, typical)
     assert region.off == words
     assert verdict.where(region) == f"It is worst {words}."

@@ -10,7 +10,7 @@ import pytest
 from gonio_analysis.plots.pixels import round_length
 from gonio_maps.files import FitFile, Variable
 from gonio_maps.report import map_layers, map_page
-from gonio_maps.report.map_layers import PICTURE, Grid, block_medians
+from gonio_maps.report.map_layers import PICTURE, MapPixels, block_medians
 
 from gonio.errors import DataError
 from gonio.geometry import direction
@@ -87,7 +87,7 @@ def test_a_picture_has_medians_of_blocks_of_what_is_determined() -> None:
     x, y = axes(2, 2 * PICTURE)
     value = np.full((2, 2 * PICTURE), np.nan)
     value[:, :4] = [[1.0, 2.0, 5.0, np.nan], [3.0, 10.0, 7.0, np.nan]]
-    picture = block_medians(Grid(x, y), value)
+    picture = block_medians(MapPixels(x, y), value)
     assert picture.shape == (1, PICTURE)
     assert picture[0, :2].tolist() == [2.5, 6.0]
     assert np.isnan(picture[0, 2:]).all()
@@ -96,7 +96,7 @@ def test_a_picture_has_medians_of_blocks_of_what_is_determined() -> None:
 def test_pictures_have_ascending_axes() -> None:
     x, y = axes(2, 3)
     value = np.arange(6.0).reshape(2, 3)
-    assert block_medians(Grid(x[::-1], y[::-1]), value).tolist() == value[::-1, ::-1].tolist()
+    assert block_medians(MapPixels(x[::-1], y[::-1]), value).tolist() == value[::-1, ::-1].tolist()
 
 
 def test_nothing_determined_is_a_spread_without_numbers() -> None:

@@ -106,7 +106,7 @@ def test_what_is_not_meant_for_it_is_not_answered() -> None:
 def test_an_arm_follows_its_shaft_behind_the_backlash(from_above: bool, places: list[float]) -> None:
     """0.3 deg of backlash: it stands at its shaft where it was pushed from the side that the rig comes from."""
     at = [0.0]
-    arm = twins.Follower(
+    arm = twins.TwinArm(
         lambda: at[0], math.radians, Axis(backlash_deg=0.3, zero_offset_deg=0.5), math.radians(0.2), from_above
     )
     found = []

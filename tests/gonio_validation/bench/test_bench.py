@@ -27,10 +27,10 @@ from gonio_validation.bench import (
     timing,
 )
 from gonio_validation.bench.quantity import (
+    BenchQuantity,
+    BenchSample,
     ErrorSummary,
     PeerTime,
-    Quantity,
-    Sample,
     TimeSummary,
     Way,
     WaySummary,
@@ -45,8 +45,8 @@ from tools.studies import bench_reference as made
 ONES = np.ones(4)
 
 
-def samples(value: list[float], condition: float = 0.0) -> list[Sample]:
-    return [Sample("grid", {}, (ONES,), np.array(value), np.full(4, condition), ("",) * 4)]
+def samples(value: list[float], condition: float = 0.0) -> list[BenchSample]:
+    return [BenchSample("grid", {}, (ONES,), np.array(value), np.full(4, condition), ("",) * 4)]
 
 
 def way(*results: float) -> Way:
@@ -113,7 +113,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two quantities, and no processes to time the start-up of."""
     everything = evaluators.quantities
 
-    def chosen() -> list[Quantity]:
+    def chosen() -> list[BenchQuantity]:
         return [q for q in everything() if q.name in ("cook-torrance", "roughness")]
 
     monkeypatch.setattr(evaluators, "quantities", chosen)
@@ -187,7 +187,7 @@ def test_a_peer_is_measured_in_its_own_process(
         return subprocess.CompletedProcess([], 0, stdout=f"a library speaks\n{printed}", stderr="")
 
     monkeypatch.setattr(peers, "process", process)
-    peer = peers.Peer("somebody", one, {"WITH": "this"})
+    peer = peers.PeerProgram("somebody", one, {"WITH": "this"})
     assert as_json(peers.measured(peer, effort)) == found
     assert len(started) == 1
     assert "WITH" in started[0]
@@ -201,7 +201,7 @@ def test_a_peers_threads_are_in_its_row() -> None:
 
 
 def test_a_peer_whose_process_fails_is_named() -> None:
-    peer = peers.Peer("nobody", evaluators.quantities()[0].ways[0], {})
+    peer = peers.PeerProgram("nobody", evaluators.quantities()[0].ways[0], {})
     with pytest.raises(DataError, match="nobody: its process failed while it was measured: KeyError"):
         peers.measured(peer, timing.Effort(pairs=1000, repeats=1, budget_s=0.01))
 

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gonio.errors import ConfigError
-from gonio.lab.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, Parts
+from gonio.lab.acquisition.duration import SAME_PLACE, SETTLE_S, Durations, TimeParts
 from gonio.lab.acquisition.exposure import dark_exposures_s, expected_bracket, expected_exposure_s
 from gonio.lab.acquisition.plan import Plan, Point
 from gonio.lab.acquisition.schedule import reference_pose, schedule
@@ -128,7 +128,7 @@ def test_parts_of_a_run_add_up_to_its_steps() -> None:
     points = tuple(Point(20.0, 0.0, float(r), 180.0) for r in range(0, 60, 10))
     steps = schedule(Plan("p", (550.0,), points, 0, "test"), description)
     durations = Durations(description, BANDS[:1])
-    parts, here, by_hand = durations.parts(steps), Pose(), Parts(warm_up_s=600.0)
+    parts, here, by_hand = durations.parts(steps), Pose(), TimeParts(warm_up_s=600.0)
     for step in steps:
         by_hand += durations.step(here, step)
         here = here if step.kind == "dark" else step.pose

@@ -17,7 +17,7 @@ import gonio
 from gonio.config import to_toml
 from gonio.errors import DeviceError, Disturbed
 from gonio.lab.by_hand.assistant import CAMERA_S, Assistant
-from gonio.lab.by_hand.live_view import Pictures
+from gonio.lab.by_hand.live_view import FramePictures
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.rig import Frame, Pose, imaging, kinematics
 from gonio.lab.rig.description import Body, Reference, RigDescription
@@ -80,7 +80,7 @@ class Session:
     manual: ManualRig
     assistant: Assistant
     clock: Clock
-    told: list[tuple[dict[str, Any], Pictures | None]]
+    told: list[tuple[dict[str, Any], FramePictures | None]]
     said: list[str]
 
     def look(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Session:
 
 def session(device: Scene, rig_file: Path | None = None, out: Path | None = None) -> Session:
     clock = Clock()
-    told: list[tuple[dict[str, Any], Pictures | None]] = []
+    told: list[tuple[dict[str, Any], FramePictures | None]] = []
     said: list[str] = []
     manual = ManualRig(device, str(rig_file))
     assistant = Assistant(

@@ -9,7 +9,7 @@ import pytest
 
 from gonio.errors import DeviceError
 from gonio.lab.by_hand.manual_rig import ManualRig
-from gonio.lab.calibration.camera_scan import Scan
+from gonio.lab.calibration.camera_scan import CameraScan
 from gonio.lab.rig import Frame, Pose
 from gonio.lab.rig.description import Holder, Reference, RigDescription
 from gonio.lab.rig.imaging import pixel_on_sample_mm
@@ -24,7 +24,7 @@ RIG = describe(
 )
 
 
-def scan(capture: Any = None, rig: RigDescription = RIG) -> Scan:
+def scan(capture: Any = None, rig: RigDescription = RIG) -> CameraScan:
     """A scan of a rig that stands still."""
     manual = SimpleNamespace(
         description=rig,
@@ -33,7 +33,7 @@ def scan(capture: Any = None, rig: RigDescription = RIG) -> Scan:
         pose=Pose,
         lamp=lambda lit: None,
     )
-    return Scan(cast(ManualRig, manual), Path(), say=lambda text: None)
+    return CameraScan(cast(ManualRig, manual), Path(), say=lambda text: None)
 
 
 def test_exposures_are_those_of_the_camera_in_microseconds_and_once_each() -> None:
@@ -71,13 +71,13 @@ def test_a_frame_of_another_exposure_is_refused() -> None:
             scan(lambda t, says_s=says_s: shot(says_s))._shot(0.5)
 
 
-def taken(of: Scan, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+def taken(of: CameraScan, monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The exposures of all frames, which are not taken; a white reaches full scale in 2 s."""
     out: list[float] = []
     metered = SimpleNamespace(exposure_s=1.2, level_per_s=0.5)
-    monkeypatch.setattr(Scan, "_meter", lambda self, kind: metered)
-    monkeypatch.setattr(Scan, "_take", lambda self, kind, exposure_s, *more, **named: out.append(exposure_s))
-    monkeypatch.setattr(Scan, "_black", lambda self, kind: (slice(0, 1), slice(0, 1)))
+    monkeypatch.setattr(CameraScan, "_meter", lambda self, kind: metered)
+    monkeypatch.setattr(CameraScan, "_take", lambda self, kind, exposure_s, *more, **named: out.append(exposure_s))
+    monkeypatch.setattr(CameraScan, "_black", lambda self, kind: (slice(0, 1), slice(0, 1)))
     return out
 
 

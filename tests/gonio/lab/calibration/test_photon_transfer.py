@@ -37,7 +37,7 @@ class ManualRig:
         self.taken += 1
         return self.sensor.read_out(rate, exposure_s, level, np.uint64(2**40 + 10**6 * self.seed + self.taken))
 
-    def pairs(self, rate: Any, exposures: Any) -> list[photon_transfer.Pair]:
+    def pairs(self, rate: Any, exposures: Any) -> list[photon_transfer.FramePair]:
         return [photon_transfer.pair(self.frame(rate, t), self.frame(rate, t), t) for t in exposures]
 
 

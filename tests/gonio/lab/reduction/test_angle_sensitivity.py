@@ -10,7 +10,7 @@ import pytest
 
 from gonio.geometry import Directions, angles, direction
 from gonio.lab.reduction import angle_errors
-from gonio.lab.reduction.angle_sensitivity import Curves
+from gonio.lab.reduction.angle_sensitivity import BandCurves
 from gonio.lab.reduction.spikes import OverlapFraction, blurred_overlap, over_patch, overlap
 from gonio.lab.rig import kinematics
 from gonio.lab.rig.description import ArmAxis, Arms
@@ -29,9 +29,9 @@ def at(theta_i: float, theta_r: float, dphi: float = 180.0) -> Directions:
     return Directions(math.radians(theta_i), 0.0, math.radians(abs(theta_r)), math.radians(turn % 360))
 
 
-def curves(function: Function, goals: list[Directions], half: float = HALF, noise: float = 1e-6) -> Curves:
+def curves(function: Function, goals: list[Directions], half: float = HALF, noise: float = 1e-6) -> BandCurves:
     values = np.array([function(d) for d in goals], dtype=np.float64)
-    return Curves(stack(goals), stack(goals), values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
+    return BandCurves(stack(goals), stack(goals), values, noise * abs(values) + 1e-12, (half, half), sharp(goals, half))
 
 
 def sharp(goals: list[Directions], half: float = HALF) -> list[OverlapFraction]:
@@ -160,7 +160,7 @@ def test_normal_incidence_has_no_preferred_plane() -> None:
         return math.exp(-((d.theta_r / 0.5) ** 2))
 
     f = np.array([value(d) for d in goals])
-    model, u = Curves(stack(goals), stack(read), f, 1e-6 * f, (HALF, HALF), sharp(read)), math.radians(0.02)
+    model, u = BandCurves(stack(goals), stack(read), f, 1e-6 * f, (HALF, HALF), sharp(read)), math.radians(0.02)
     for k in range(2, len(goals) - 2):
         if goals[k].theta_r == 0:
             continue
@@ -304,7 +304,7 @@ def test_repeated_readings_are_no_slope() -> None:
     read = [at(30.0, round((40.0 + 0.01 * k) / 0.088) * 0.088) for k in range(60)]
     f = 0.2 + 1e-3 * np.random.default_rng(0).standard_normal(60)
     model, u = (
-        Curves(stack(goals), stack(read), f, np.full(60, 1e-3), (0.0, 0.0), [OverlapFraction()] * 60),
+        BandCurves(stack(goals), stack(read), f, np.full(60, 1e-3), (0.0, 0.0), [OverlapFraction()] * 60),
         math.radians(0.025),
     )
     # differences over at least 0.2 deg of noise of 1e-3: 0.025/0.2 of it
@@ -336,7 +336,7 @@ def test_what_a_spike_s_top_lacks_on_average_is_given_back() -> None:
     at_read = np.array([float(overlap(d.mirror_offset, HALF, HALF)) for d in SPIKED])
     steep = np.array([d.theta_i > 1.2 for d in SPIKED])
     measured = exact + np.where(steep, 40.0 * (np.array([share.mean for share in shares]) - at_read), 0.0)
-    model = Curves(stack(SPIKED), stack(SPIKED), measured, 1e-6 * measured, (HALF, HALF), shares)
+    model = BandCurves(stack(SPIKED), stack(SPIKED), measured, 1e-6 * measured, (HALF, HALF), shares)
     # 1e-3 of the spike: the cubic under it
     np.testing.assert_allclose(measured + model.spikes.correction, exact, atol=0.01)
     top = int(np.argmax(exact))
@@ -367,7 +367,7 @@ def test_a_spike_of_which_only_the_edge_was_met_is_uncertain_by_what_it_added() 
     shares[edge] = blurred_overlap(goals[edge], stack([moved(goals[edge], r=math.radians(0.03))]), (HALF, HALF))
     f = np.full(len(goals), 0.2)
     f[edge] += 3.0
-    model = Curves(stack(goals), stack(goals), f, 1e-3 * f, (HALF, HALF), shares)
+    model = BandCurves(stack(goals), stack(goals), f, 1e-3 * f, (HALF, HALF), shares)
     # half of the places that the errors leave see no spike at all: the excess is as uncertain as it is large
     assert model.spikes.variance[edge] ** 0.5 > 3.0
     assert model.lobe[edge] == pytest.approx(0.2, rel=1e-12)  # a constant lobe

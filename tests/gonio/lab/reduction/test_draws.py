@@ -78,7 +78,7 @@ def test_the_value_is_theirs() -> None:
     assert float(dome.value(dome.Exact())[0]) == pytest.approx(0.02135405961783158, rel=1e-14)
 
 
-class Repeated(dome.Errors):
+class Repeated(dome.DrawnErrors):
     """Numbers as the package takes them: a function is handed a copy of the generator's state.
 
     So each of them begins with the same numbers. Normal numbers are Box and Muller's, counts those of Hoermann's

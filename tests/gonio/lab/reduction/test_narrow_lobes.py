@@ -8,7 +8,7 @@ import pytest
 
 from gonio import instrument, models
 from gonio.geometry import Directions, solid_angle_of_cone
-from gonio.lab.reduction.angle_sensitivity import Curves
+from gonio.lab.reduction.angle_sensitivity import BandCurves
 from gonio.lab.reduction.narrow_lobes import steepest
 from gonio.lab.reduction.spikes import blurred_overlap
 from gonio.typing import Floats
@@ -84,7 +84,7 @@ def _stated(theta_i: Floats, signed: Floats, values: Floats) -> tuple[Floats, Fl
         blurred_overlap(goals[k], Directions.stack([plus[k] for plus, _ in moved]), (HALF, HALF))
         for k in range(values.size)
     ]
-    curves = Curves(goals, goals, values, NOISE * abs(values), (HALF, HALF), shares)
+    curves = BandCurves(goals, goals, values, NOISE * abs(values), (HALF, HALF), shares)
     odd, even, u_slope = np.zeros((3, values.size))
     for plus, minus in moved:
         for k in range(values.size):

@@ -14,7 +14,7 @@ from gonio.lab.acquisition.measure import carry_out
 from gonio.lab.acquisition.plan import Plan, Point
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import brdf, spikes
-from gonio.lab.reduction.angle_sensitivity import Curves
+from gonio.lab.reduction.angle_sensitivity import BandCurves
 from gonio.lab.reduction.spikes import OverlapFraction, blurred_overlap, lagrange, overlap
 from gonio.samples.description import SampleDescription
 from tests.gonio.lab.reduction.drawn_runs import measured_around_spikes, pulls, rig
@@ -128,11 +128,11 @@ def test_neighbouring_incidences_tell_a_spike_that_one_point_cannot() -> None:
     goals = [at(i, i + r) for i in (65.0, 75.0) for r in np.arange(-10.0, 10.1, 0.5)] + [at(70.0, 70.0)]
     seen = shares(goals, math.radians(0.03))
     f = np.array([0.5 + amplitude(float(d.theta_i)) * share.mean for d, share in zip(goals, seen, strict=True)])
-    found = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
+    found = BandCurves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
     assert found.told[-1]
     # the lobe of 0.5 under the ends, and their noise
     assert found.amplitude[-1] == pytest.approx(amplitude(float(goals[-1].theta_i)), rel=0.05)
-    alone = Curves(stack(goals[-1:]), stack(goals[-1:]), f[-1:], 0.005 * f[-1:], (HALF, HALF), seen[-1:]).spikes
+    alone = BandCurves(stack(goals[-1:]), stack(goals[-1:]), f[-1:], 0.005 * f[-1:], (HALF, HALF), seen[-1:]).spikes
     assert not alone.told[0]
     assert alone.correction[0] == 0.0
     # the bound is the value itself: all of it spike, with two standard deviations of noise and blur
@@ -143,7 +143,7 @@ def test_beside_an_edge_that_nothing_tells_the_bound_is_that_of_physics() -> Non
     """A point 0.97 degrees from the mirror direction shows its lobe; what the spike adds there nobody knows."""
     goals = [at(40.0, 40.97), *(at(40.0, float(r)) for r in (30, 34, 37, 43, 46, 50))]
     f = np.full(len(goals), 0.2)
-    found = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), shares(goals, math.radians(0.03))).spikes
+    found = BandCurves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), shares(goals, math.radians(0.03))).spikes
     assert found.told.tolist() == [False] + [True] * 6
     mirror = 1.0 / (math.cos(math.radians(40.0)) * 2.0 * math.pi * (1.0 - math.cos(HALF)))
     share = float(overlap(math.radians(0.97), HALF, HALF))
@@ -157,9 +157,9 @@ def test_a_value_that_departs_from_the_spike_says_so() -> None:
     goals = [at(75.0, 75.0 + x) for x in (-8, -6, -4, -2, -0.6, -0.3, 0.0, 0.3, 0.6, 1.1, 2, 4, 6, 8)]
     seen = shares(goals, math.radians(0.03))
     f = np.array([1.0 + 1000.0 * share.mean for share in seen])
-    quiet = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
+    quiet = BandCurves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
     f[9] += 2.0
-    loud = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
+    loud = BandCurves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes.variance[9]
     # the fit gives the lobe at most a percent of it
     assert math.sqrt(loud) == pytest.approx(2.0 / 2.5, rel=0.02)
     assert loud > 100.0 * quiet
@@ -177,7 +177,7 @@ def test_beside_a_lobe_narrower_than_the_steps_u_is_large_enough(step: float, st
 
         goals = [at(60.0, float(r)) for r in np.arange(start, 86.0, step)]
         f = np.array([lobe(d) for d in goals])
-        model = Curves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), shares(goals, u))
+        model = BandCurves(stack(goals), stack(goals), f, 0.005 * f, (HALF, HALF), shares(goals, u))
         for k, d in enumerate(goals):
             plus, minus = at(60.0, math.degrees(d.theta_r + u)), at(60.0, math.degrees(d.theta_r - u))
             truth = 0.5 * (lobe(plus) - lobe(minus))
@@ -202,7 +202,7 @@ def test_rare_errors_that_lead_down_from_a_flat_top_are_in_its_variance(theta: f
     assert np.min(lost) < -6.0 * np.std(lost)
     # the largest of 4000 normal numbers is four standard deviations: no more of this one's
     f = np.array([1000.0 * top.mean])
-    u = math.sqrt(Curves(goal[None], goal[None], f, 1e-6 * f, (HALF, wider), [top]).spikes.variance[0])
+    u = math.sqrt(BandCurves(goal[None], goal[None], f, 1e-6 * f, (HALF, wider), [top]).spikes.variance[0])
     assert np.all(1000.0 * abs(lost) < 4.5 * u)
 
 
@@ -223,13 +223,13 @@ def test_a_point_beside_a_spike_that_nothing_tells_has_at_most_what_stands_above
     goals = [at(46.0, 47.03), *(at(46.0, float(r)) for r in (31, 36, 41, 51, 56, 61))]
     f = np.full(len(goals), 0.159)
     seen = shares(goals, math.radians(0.03))
-    found = Curves(Directions.stack(goals), Directions.stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
+    found = BandCurves(Directions.stack(goals), Directions.stack(goals), f, 0.005 * f, (HALF, HALF), seen).spikes
     assert seen[0].mean > 0.0
     assert not found.told[0]
     # two standard deviations of the lobe's shape (3 %) and of the noise; the whole value was stated before
     assert math.sqrt(found.variance[0]) == pytest.approx(2.0 * math.hypot(0.03, 0.005) * 0.159, rel=0.05)
     spiked = np.where(np.arange(f.size) == 0, 0.5, f)
-    found = Curves(Directions.stack(goals), Directions.stack(goals), spiked, 0.005 * f, (HALF, HALF), seen).spikes
+    found = BandCurves(Directions.stack(goals), Directions.stack(goals), spiked, 0.005 * f, (HALF, HALF), seen).spikes
     assert math.sqrt(found.variance[0]) > 0.5 - 0.159
 
 
@@ -271,7 +271,7 @@ def test_a_spike_is_bound_by_its_points_and_by_all_light(brdf: float, bound: flo
         variance=np.array([0.0]),
     )  # fmt: skip
     mirror = 1.0 / (math.cos(0.7) * 2.0 * math.pi * (1.0 - math.cos(0.02)))
-    found = spikes._bound(cast(spikes.Scene, scene), np.array([0]), 0.7)
+    found = spikes._bound(cast(spikes.SpikeScene, scene), np.array([0]), 0.7)
     assert found == pytest.approx(mirror if bound is None else bound, rel=1e-9)
 
 
