@@ -33,6 +33,11 @@ def measured(name: str) -> Path:
     return path
 
 
+def example(name: str) -> str:
+    """A whole file of docs/examples."""
+    return (ROOT / "docs" / "examples" / name).read_text(encoding="utf-8")
+
+
 def fenced(page: Path, language: str, holding: str) -> str:
     """The one fenced block of a page that holds a text."""
     text = page.read_text(encoding="utf-8")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gonio.formats import own_columns
-from tests.places import ROOT, fenced, measured
+from tests.places import ROOT, example, measured
 
 PAGE = ROOT / "docs" / "formats.md"
 
@@ -23,7 +23,7 @@ def reflectance_factors(folder: Path) -> Path:
 
 def _made(recipe: str, name: str, out: Path) -> Path:
     steps: dict[str, Any] = {}
-    exec(fenced(PAGE, "python", f"def {recipe}("), steps)
+    exec(example("tables_of_others.py"), steps)
     steps[recipe](measured(f"brdf/{name}"), out)
     said = re.search(rf"gonio compare {out.name} --columns \\\s+(\S+)", PAGE.read_text(encoding="utf-8"))
     assert said is not None

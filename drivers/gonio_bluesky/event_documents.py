@@ -12,6 +12,20 @@
 Everything follows from the files of the run: the same run gives the same documents, and a run that has grown gives
 those that it gave, and more. Nothing of Bluesky is needed to write them. Where `event_model` is installed, every
 document is checked against its models. docs/interchange.md says what each key holds.
+
+The baseline has every key of the rig as run.toml has it, as `geometry_light_distance_mm`; lists of tables are JSON.
+`stop` says `success`; `abort` where the run was stopped or the journal says no end; `fail` where a device failed. An
+event of `primary` has
+
+- `step`, `point`, `theta_i_deg` ... `phi_r_deg` of the plan,
+- `light_deg`, `camera_deg`, `tilt_deg`, ...: what the encoders read before the frames,
+- `goal_deg`, `pose_after_deg`: where the axes were sent, and what they read after the frames,
+- `time_s`, `flag`: time of the first frame on the rig's clock, and why the step counts for nothing,
+- `exposure_s`, `level_per_s` of each band: the longest exposure, and the brightest used pixel for one second,
+- `health`, `health_words`: what was read of the devices: numbers; words as JSON.
+
+A number that is not known is `null`. Steps that were lost are left out. The time of an event is when its line was
+written to the journal (UTC).
 """
 
 import datetime

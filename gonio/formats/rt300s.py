@@ -12,6 +12,12 @@ Directions measured twice are both there; those that the blank lacks are "no_bla
 "FILE"` in `<name>.columns.toml`) has to have them all, and repeats of its directions count as their mean. The file
 states no uncertainties and no solid angles. Where a sample repeats directions often enough, their scatter is the
 uncertainty of its signals (the blank's, of its own repeats or else the same); without repeats it stays unknown.
+
+Signals that reach further below zero than above it are refused: shifted to zero they would look like a BRDF. Ten
+degrees of freedom of repeats are enough for the uncertainty. What the subtraction adds to the smallest signals is not
+in it. `RT` is taken for pi f cos(R): white standard, solid angle and wavelength do not enter. The laboratory's
+published list of points, the means of the two half-turns, is reproduced to the last printed digit, 1.1e-6 1/sr. Its
+Zemax grid differs from these by up to 4 % in the mirror direction.
 """
 
 import math

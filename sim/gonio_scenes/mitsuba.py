@@ -5,6 +5,19 @@ a wavelength. A single wavelength fills all three alike, so that the variants fo
 Mitsuba's spectral variants draw wavelengths at random and interpolate between them; nothing is left to compare then.
 
 What the two renderers compute alike is direct light. `Export.left_out` names what a file cannot carry.
+
+Plane, disc, sphere and box become `rectangle`, `disk`, `sphere` and `cube`; a plane without end is as wide as twice
+what is seen and what stands on it. A cylinder is triangles, 720 around, up to 1e-5 of the radius inside it; a surface
+of revolution likewise, with its own normals; a height field is its triangles. `lambert` is `diffuse`; `he-torrance`
+with `sigma0_um = 0` and no diffuse part is `conductor`, of the same Fresnel reflectance; every other material is
+`measured`, a file of slices. Lights are `directional`, `point`, `area` on a `disk` and `constant`; cameras
+`perspective` and `thinlens`; the integrator is `direct`. More than three wavelengths make several files,
+`scene-400-410-420nm.xml` and so on.
+
+Not carried are the specular spike beside a lobe; other shapes in a smooth mirror (lights are seen in it); textures
+(the parameters are those where a texture is 0); `ambient_reflectance`, and ambient light without shadows;
+polarisation; one ray through the middle of a pixel; discs of light that other light passes through. Materials that
+depend on the azimuth of their surface are refused.
 """
 
 import json

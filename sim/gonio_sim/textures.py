@@ -5,6 +5,12 @@ has those as its levels. Any other has levels between which the BRDF is interpol
 until its middle is predicted within `TOLERANCE`, or there are `MOST` levels; the worst intervals come first.
 
 A pixel sees the mean over its own area: some spots of it, each with the weights of the levels around its value.
+
+Levels are the values of a pattern or picture, if there are at most 64, else 9 to 65 with a cubic between them, of an
+error of 1e-4. Tenfold gradients of roughness are followed within 1.1e-4. Levels of several textures multiply, to at
+most 4225. Pixels away from edges agree with a model of their own parameters within 2e-4
+(`tests/gonio_sim/test_textures.py`). A pixel's share beside an edge is right to 1/68 along rows and columns, otherwise
+to 3/34.
 """
 
 import math

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.util
-import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
@@ -24,7 +23,7 @@ from gonio.samples.files import load_sample
 from tests.gonio_drivers.conftest import be_patient, small
 from tests.gonio_drivers.staged import on_stages
 from tests.gonio_drivers.virtual import virtual_time
-from tests.places import ROOT
+from tests.places import example
 
 SAMPLE = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
 SMALL = {"width": 64, "height": 48}
@@ -158,14 +157,10 @@ def staged(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
 
 def stranger(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Case:
     """The rig of docs/writing_a_driver.md, as it stands there."""
-    guide = (ROOT / "docs" / "writing_a_driver.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"^```\w+\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)
-    (code,) = (block for block in blocks if "class BenchPlugin" in block)
-    (toml,) = (block for block in blocks if 'rig = "bench"' in block)
     sdk = imported("bench_sdk", SDK, folder)
     monkeypatch.setitem(sys.modules, "bench_sdk", sdk)
-    driver = imported("stranger_rig", code, folder)
-    description = parse(RigDescription, tomllib.loads(toml), "bench.toml")
+    driver = imported("stranger_rig", example("bench_rig.py"), folder)
+    description = parse(RigDescription, tomllib.loads(example("bench.toml")), "bench.toml")
     return Case("stranger", driver.BENCH, description, None, lambda: bool(sdk.BENCH.lit))
 
 

@@ -6,6 +6,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -22,9 +23,9 @@ from gonio.lab.rig import Pose
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band, Bands
 from tests.contracts.rigs import imported
-from tests.places import ROOT
+from tests.places import ROOT, example, fenced
 
-GUIDE = (ROOT / "docs" / "writing_a_driver.md").read_text(encoding="utf-8")
+block = partial(fenced, ROOT / "docs" / "writing_a_driver.md")
 TOLERANCE_DEG = 0.05
 """Of a landing, as the rig file has it by default."""
 
@@ -98,12 +99,6 @@ class Newport(Device):
         return None
 
 
-def block(language: str, holding: str) -> str:
-    blocks = re.findall(rf"^```{language}\n(.*?)^```", GUIDE, re.DOTALL | re.MULTILINE)
-    (found,) = (text for text in blocks if holding in text)
-    return str(found)
-
-
 @pytest.fixture
 def peers() -> Iterator[dict[str, SerialPeer]]:
     with ExitStack() as stack:
@@ -114,7 +109,7 @@ def peers() -> Iterator[dict[str, SerialPeer]]:
 @pytest.fixture
 def arms(peers: dict[str, SerialPeer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageArms:
     """Built of the guide's code and the guide's rig file, with the ports of the peers."""
-    module = imported("guide_stage", block("python", "class NewportStage"), tmp_path)
+    module = imported("guide_stage", example("newport_stage.py"), tmp_path)
     monkeypatch.setitem(sys.modules, "guide_stage", module)
     (name, target), *_ = tomllib.loads(block("toml", "gonio.stages"))["project"]["entry-points"]["gonio.stages"].items()
     point = EntryPoint(name, target.replace("my_package.stage", "guide_stage"), "gonio.stages")
@@ -133,7 +128,7 @@ def newport(peers: dict[str, SerialPeer], name: str) -> Newport:
 
 
 def test_it_is_short() -> None:
-    assert block("python", "class NewportStage").count("\n") < 100
+    assert example("newport_stage.py").count("\n") < 100
 
 
 def test_it_homes_moves_reads_and_parks(arms: StageArms, peers: dict[str, SerialPeer]) -> None:

@@ -23,7 +23,7 @@ from gonio.samples.description import SampleDescription
 from tests.command_line import gonio
 from tests.gonio.cli.test_cli import installed
 from tests.gonio.numpy_rig import NumpyRig, Plugin, StopAfter, measured
-from tests.places import ROOT, fenced
+from tests.places import ROOT, example, fenced
 
 pytestmark = pytest.mark.slow
 
@@ -38,7 +38,7 @@ def stranger(tmp_path: Path) -> str:
     for group in ("gonio.choosers", "gonio.exports"):
         named = tomllib.loads(block("toml", f'entry-points."{group}"'))["project"]["entry-points"][group]
         points += [f"[{group}]", *(f"{name} = stranger:{target.partition(':')[2]}" for name, target in named.items())]
-    module = block("python", "class Halving") + "\n\n" + block("python", "def write(source, target)")
+    module = example("halving.py") + "\n\n" + example("list_of_frames.py")
     site = installed(tmp_path, points[0].strip("[]"), "\n".join(points[1:]), module)
     (tmp_path / "plan.toml").write_text(block("toml", 'how = "halving"'))
     return site

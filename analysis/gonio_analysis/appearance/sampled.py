@@ -2,6 +2,17 @@
 
 Every function takes observations at one wavelength and returns a `Sampled`; where the angles are missing it raises
 `NotMeasured`, whose message says which. docs/appearance.md says what is assumed of a sample between its values.
+
+Gloss of a table is read along its in-plane curve at that incidence, or along one by reciprocity. The scattering is
+taken to depend on the half vector's angle theta_h: ln(f cos(theta_i) cos(theta_r)) is linear in tan^2(theta_h) between
+measured values, exact for Gaussian slopes. Isotropy is assumed. Values out of the plane within 25 degrees of the
+mirror direction correct this: their ratio to what the curve says there is linear over the receiver's focal plane. A
+curve made by reciprocity is not corrected. Where values out of the plane agree much better with f alone, with f
+cos(theta_i) cos(theta_r) over the Fresnel reflectance of glass, or with the shadowing of V-grooves (Cook and Torrance
+1982), that one is taken.
+
+The spike is the excess of the value in the mirror direction over what its neighbours outside of the cones predict,
+times the overlap of the two cones. Without stated cones all is interpolated.
 """
 
 from __future__ import annotations

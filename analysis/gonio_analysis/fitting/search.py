@@ -2,6 +2,14 @@
 
 The shapes of these models are multi-modal in their roughness, so a search that starts anywhere ends anywhere.
 Parameters move on their natural scale (logarithmic for lengths, widths and indices) inside bounds.
+
+For He-Torrance the grid has 99 points of sigma0/lambda and slope, judged by logarithms. The best four points are
+searched, the best two of these with the true weights. Where the data reject what was found, the best point of every
+other width is tried. Where they do not, and the surface has more than one parameter, the profile of chi-square over
+its width shows other valleys. Of 2400 drawn He-Torrance tables (100 values, noise of 1 %) 4 end in a wrong one, by 0.2
+to 1 of chi-square; without the profile 2 to 5 % did, by up to 37. Where n and k are both free, the solution's shape is
+tried with other metals. The last search averages the lobe over the cones to 1e-5. Of more than 5000 values a model is
+first fitted to 5000.
 """
 
 from __future__ import annotations

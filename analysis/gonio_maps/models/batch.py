@@ -5,6 +5,21 @@ the models: directions become the kernel's columns, a coarse grid gives starts w
 squares, and damped Gauss-Newton steps (Levenberg and Marquardt) end where a step is below a ten-thousandth of the
 standard errors. Common causes act through Woodbury's formula. Where the data reject the model it gets a misfit of its
 own, as in docs/misfit.md. docs/maps.md has the formulas and what differs from a fit of one table.
+
+Starts are a grid of twelve widths and a few indices (Oren-Nayar: five sigmas; He-Torrance: eleven slopes and six
+sigma0). Of f = level g(width, n) + base level and base follow by linear least squares. The lowest valley of chi-square
+over the width is the start. One of four values tells it with He-Torrance, and all of them where the grid alone comes
+near an acceptable fit. Others are tried where chi-square so far rejects the model (1 %), or where their own on the
+grid is below 1000, or below ten times that and 20 more; of one valley also where it is at most 50 above an acceptable
+one. A fit that comes to a minimum that is known stops.
+
+Rough surfaces reflect by their slope alone, so He-Torrance has valleys beside each other along sigma0 at one slope:
+there the model is taken at up to twelve sigma0, and valleys between them are fitted (`_batch_scaled`). A parameter
+that ended on a bound is sought again from the grid's values inside: few directions on a narrow lobe let an index run
+away. A model that is still rejected is fitted to logarithms, and from there once more to the values.
+
+Oren-Nayar is linear in columns of the directions: without common causes its steps go on 15 sums over the values, and
+the values tell where they end (`_batch_sums`).
 """
 
 import functools

@@ -2,6 +2,12 @@
 
 Nothing that was measured is removed: a frame that does not count any more is moved to `set-aside/`, and a damaged
 journal is kept beside the one that is made again.
+
+Every run has an id of 128 random bits, in `run.toml`, in the journal and in every frame. Frames with another id are
+named and left out; they stay until `--resume` moves them to `set-aside/`. Neither numbers nor random numbers depend on
+the id. Runs of earlier versions have none: what stands for it is a hash of plan, seed, rig and sample, which other
+runs of the plan share. The repair says so. Of a laboratory's run it leaves out steps that were taken at the same time,
+and names points that go back in time.
 """
 
 import contextlib

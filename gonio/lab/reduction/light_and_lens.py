@@ -4,6 +4,25 @@ Derived in docs/calibration.md. None of these effects is corrected here (the bea
 `gonio.lab.rig.imaging`): each is a signed column, the change of the BRDF for one standard deviation of its cause.
 
 Also here is what a calibration leaves open of the camera's linearity and stray light, and what that does to values.
+
+A band reports the mean of f over the band as the value at its centre. To second order that is f(centre) + sigma^2/2
+f''(centre), sigma = fwhm/2.355, and a centre that is wrong by u changes it by f' u. Both derivatives are finite
+differences of the run's own bands: `s_wavelength` = f' u(centre), `s_bandwidth` = f'' sigma^2/2.
+
+A lamp of degree P and azimuth a has the Stokes vector (1, P cos 2a, P sin 2a, 0). A camera with the diattenuation p, b
+weighs with the row (1, p cos 2b, p sin 2b, 0). With the sample's normalised Mueller matrix m (m_00 = 1) a measurement
+of f gives, in the frame of s and p,
+
+    f [1 + P cos 2a m_01 + p cos 2b m_10 + P p (cos 2a cos 2b m_11 + ...)]
+
+A facet that reflects once has m_01 = m_10 = D = (R_s - R_p)/(R_s + R_p) at half of the angle between source and
+camera, and m_11 = 1. Light that is scattered more than once, and metals, have smaller values. So the relative error
+lies between 0 and
+
+    bound = D |P cos 2a + p cos 2b| + 2 P p
+
+with D of glass (n = 1.5). The standard uncertainty of a value is brdf bound/sqrt(3). At the Brewster angle of bare
+glass the error is sqrt(3) = 1.7 standard uncertainties. An azimuth that is not given counts as the worst.
 """
 
 import math

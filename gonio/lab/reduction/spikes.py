@@ -6,6 +6,26 @@ averaged over the patch that is read, and over the directions that errors of the
 The amplitude at full overlap is estimated for every angle of incidence from all of its points, in the plane of
 incidence and out of it, together with the height of the lobe below. Where these points do not tell it, neighbouring
 angles of incidence do. Where those do not either, the amplitude is only bounded, and the bound is an uncertainty.
+
+Each point that may see a spike gets a share (`blurred_overlap`): mean and variance of the overlap, over all pixels of
+the region and the normal distribution of the angles' errors. The amplitude at full overlap is estimated for each angle
+of incidence:
+
+    value_k = lobe_k + (A + B t_k) share_k,    t_k = (theta_i + theta_r)/2 - theta
+
+B lets the reflectivity change within the cones. The lobe's height is fitted too, with a prior from the points beyond
+the spike. A (overlap - mean share) is given back to the value. The uncertainty is A^2 var(share), that of A, and 3 %
+of the correction.
+
+The points tell an amplitude where the sum of mean^2 / variance of their shares exceeds 9, and the fit leaves it
+uncertain by less than 0.3 of its bound. Else, in turn:
+
+1. Points of angles of incidence within 1.5 degrees, together.
+2. The next angles of incidence above and below: ln(A cos theta_i) is interpolated over cos^2 theta_i (Rayleigh).
+3. The bound, the smallest of: 1 / (cos theta_i omega), omega of the larger cone; what each value and two of its u
+   allow; the amplitude at the next angle nearer to grazing, and two of its u. Nothing is corrected. The uncertainty
+   holds the bound times sqrt(var(share) + (overlap - mean share)^2), but no more than the larger of the bound times
+   the overlap at the directions read, and what stands above the lobe.
 """
 
 import math

@@ -1,6 +1,27 @@
 """The measurement table of a run's reduced bands, and the notes that a reader of it needs.
 
 Also here is the uncertainty of each value in its parts, and what no part of it holds (docs/budget.md).
+
+What is known of a cause's shape: a column says that errors of two values go together as its numbers do. Where only a
+bound is known, that would be more than is known: such a cause is spread over several columns, and the rest goes into
+`u_random`.
+
+- `s_reference`, `s_reference_noise`: one factor of all values of a band. The certificate's error is taken for the same
+  in all bands, and so is the visits' noise, which is not.
+- `s_lamp_drift`: a line in time, exact. `s_lamp_wander_1` ...: a random function of time, known by its covariance;
+  four columns and `visits`.
+- `s_dark_1` ...: from the regions of pixels; three columns and `dark`. `s_prnu_1` ...: from the pixels that regions
+  share with each other and with the reference's; three columns and `prnu`, taken for the same in all bands of a
+  channel.
+- `s_..._zero`, `s_geometry_1` ...: the values' own slopes; how uncertain these are is `coarse_steps`.
+- `s_linearity`, `s_stray_light`: derivatives of the calibration's model at each value, exact if the model is (a
+  polynomial; an even part and a halo).
+- `s_beam`: moments of each region; the strongest pattern is the column, the rest is `beam`.
+- `s_polarisation_1` ...: a bound whose shape is not known: a random function of the directions; twelve columns and
+  `polarisation`.
+- `s_wavelength`, `s_bandwidth`: slopes and curvatures over the run's own bands. Errors of two bands are taken for the
+  same one.
+- `coarse_steps`, a bounded `spike_blur`: a bound, independent from value to value.
 """
 
 import math

@@ -3,6 +3,12 @@
 The writer makes the smallest DNG 1.4 file that raw converters open: one uncompressed strip, as a Bayer mosaic or as a
 monochrome LinearRaw image, 12-bit packed where the white level allows it and 16-bit otherwise. The exposure is an
 exact rational of the EXIF directory.
+
+Tags are read by their type and count. A black level of several values (`BlackLevelRepeatDim`, `BlackLevelDeltaH` and
+`V`) is their mean, for frames are measured against dark frames pixel by pixel. Refused by name: filters that do not
+repeat after 2 x 2 pixels (X-Trans), interpretations besides CFA and LinearRaw, several samples, formats that are not
+unsigned, lossy compression, several white levels, BigTIFF. Orientation and lists of opcodes change no count and are
+passed over.
 """
 
 import datetime

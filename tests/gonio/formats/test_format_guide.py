@@ -1,4 +1,4 @@
-"""The format of docs/formats.md, as it stands there: one module, and its name in the list."""
+"""The format of docs/examples/bench_format.py, as it stands there: one module, and its name in the list."""
 
 import sys
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ import pytest
 from gonio import formats, measurement
 from gonio.errors import DataError
 from gonio.formats.reader import ANGLES
-from tests.places import ROOT, fenced
+from tests.places import example
 
 COLUMNS = [*ANGLES, "wavelength_nm", "brdf"]
 
@@ -20,7 +20,7 @@ COLUMNS = [*ANGLES, "wavelength_nm", "brdf"]
 @pytest.fixture(autouse=True)
 def listed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     module = ModuleType("gonio.formats.bench")
-    exec(fenced(ROOT / "docs" / "formats.md", "python", "FORMAT = "), module.__dict__)
+    exec(example("bench_format.py"), module.__dict__)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr(formats, "_MODULES", (*formats._MODULES, "bench"))
     formats.all_formats.cache_clear()

@@ -13,7 +13,7 @@ from gonio.lab.acquisition.run import Run
 from gonio.measurement import read
 from tests.command_line import beside
 from tests.gonio.cli.test_cli import installed, process
-from tests.places import ROOT, fenced
+from tests.places import ROOT, example, fenced
 
 GUIDE = ROOT / "docs" / "writing_a_driver.md"
 block = partial(fenced, GUIDE)
@@ -70,9 +70,9 @@ def stranger(tmp_path: Path) -> str:
     """The guide's package, installed: what goes onto PYTHONPATH."""
     points = tomllib.loads(block("toml", "gonio.rigs"))["project"]["entry-points"]["gonio.rigs"]
     lines = [f"{name} = {target.replace('my_package.rig', 'stranger')}" for name, target in points.items()]
-    site = installed(tmp_path, "gonio.rigs", "\n".join(lines), block("python", "class BenchPlugin"))
+    site = installed(tmp_path, "gonio.rigs", "\n".join(lines), example("bench_rig.py"))
     (Path(site) / "bench_sdk.py").write_text("ZERO_DEG = 5.0\n" + SDK)
-    (tmp_path / "bench.toml").write_text(block("toml", 'rig = "bench"'))
+    (tmp_path / "bench.toml").write_text(example("bench.toml"))
     (tmp_path / "plan.toml").write_text(PLAN)
     return site
 
