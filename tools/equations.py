@@ -1,4 +1,4 @@
-"""Writes docs/equations.md: where each equation of the four papers stands, from the docstrings of gonio.models.plain.
+"""Writes docs/reference/equations.md: where each equation of the four papers stands, by docstrings of its plain form.
 
 python tools/equations.py
 """
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from gonio.models import plain
 
-OUT = Path(__file__).resolve().parents[1] / "docs" / "equations.md"
+OUT = Path(__file__).resolve().parents[1] / "docs" / "reference" / "equations.md"
 
 HEAD = """# The papers' equations
 
@@ -20,7 +20,7 @@ evaluate them by compiled kernels, which `tests/gonio/models/test_plain_*.py` ho
 ones.
 
 Equations without a number go by the letter on their left, as "Cook1982 R_s". Names such as He1991
-are keys of [references.bib](references.bib). A dagger marks formulas whose print is wrong or must
+are keys of [references.bib](../references.bib). A dagger marks formulas whose print is wrong or must
 be read with care. Names under "plain" begin with `gonio.models.plain.`, names under "compiled" with
 `gonio.models.` unless they begin with `gonio.`
 

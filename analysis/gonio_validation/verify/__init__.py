@@ -31,8 +31,8 @@ from gonio_validation.verify.finding import Finding
 LIMITS = (
     "Simulated frames stand for a camera: no real detector, lamp or arm is looked at. A rig is signed off by measuring"
     " its own white (docs/sign_off.md).",
-    "The digits of He-Torrance are those of the 1991 equations with the errata of docs/equations.md; that a real"
-    " surface obeys them is not claimed.",
+    "The digits of He-Torrance are those of the 1991 equations with their errata (docs/reference/equations.md); that a"
+    " real surface obeys them is not claimed.",
     "Files that are installed for editing have no checksums to be held against; their own are listed.",
 )
 """What a verdict does not say."""

@@ -1,8 +1,8 @@
 """Every formula of the papers once, in numpy, in their order and symbols: the specification of the models.
 
 One module a paper. To find an equation, open its paper's module and search for its number, "eq. 25"; equations
-without a number stand under their paper's section and go by their symbol, "Cook1982 R_s". docs/equations.md lists all.
-"Compiled:" in a docstring names what evaluates the formula in the models.
+without a number stand under their paper's section and go by their symbol, "Cook1982 R_s". All are listed in
+docs/reference/equations.md. "Compiled:" in a docstring names what evaluates the formula in the models.
 
 This is written from the papers and shares nothing with the models' kernels. It is slow and obvious: nothing is
 rearranged for speed or for accuracy save where a docstring says so, no argument is checked, and where a formula
