@@ -18,9 +18,8 @@ from gonio_analysis.plots import in_plane
 from gonio_analysis.report.drawing import Drawing
 
 from gonio import geometry
-from gonio.errors import ConfigError
-from gonio.models import Model, Sum, build
-from gonio.models.parameters import described
+from gonio.models import DiffuseTransmitter, Model, Sum, build
+from gonio.models.parameters import FURTHER
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = DOCS / "models_and_parameters.md"
@@ -59,33 +58,21 @@ def _escaped(text: str) -> str:
 
 
 def table(sample: str) -> str:
-    """The parameters of a sample's model: unit, value in the sample, bounds of a fit, and what they are."""
+    """The parameters of a sample's model: unit, default, what the constructor takes, bounds of a fit, and text."""
     read = tomllib.loads(sample)
-    name, given = read["model"], read["parameters"]
-    terms = list(given) if name == Sum.name else [name]
-    lines = ["| parameter | in the sample | fitted between | what it is |", "|---|---|---|---|"]
-    for term in terms:
-        lines += _rows(term, given[term] if name == Sum.name else given, f"{term}: " if len(terms) > 1 else "")
+    names = list(read["parameters"]) if read["model"] == Sum.name else [read["model"]]
+    lines = ["| parameter | unit | default | allowed | fitted between | what it is |", "|---|---|---|---|---|---|"]
+    if read["model"] == Sum.name:
+        lines.append(f"| `weight` of each | | 1 | at least 0 | | {FURTHER['weight']} |")
+    for name in names:
+        lines += _rows(name, f"{name}: " if len(names) > 1 else "")
     return "\n".join(lines) + "\n"
 
 
-def _rows(name: str, given: dict[str, Any], prefix: str) -> list[str]:
-    model = build(name, {key: value for key, value in given.items() if key != "weight"})
-    told = described(type(model))
-    try:
-        fitted = dict(fits.family(name).parameters)
-    except ConfigError:  # nothing of it is fitted
-        fitted = {}
-    weight = ["weight"] if "weight" in given else []
-    names = dict.fromkeys([*weight, *(n for n in told if n in model.parameters or n in given), *fitted])
-    rows = []
-    for one in names:
-        row = fitted.get(one)
-        bounds = "" if row is None else f"{row.lower:g} to {row.upper:g}"
-        value = "" if one not in given else str(given[one]).replace("'", "")
-        text = told.get(one, "").replace("|", "\\|").replace("*", "\\*")
-        rows.append(f"| {prefix}`{one}` | {value} | {bounds} | {text} |")
-    return rows
+def _rows(name: str, prefix: str) -> list[str]:
+    kind = DiffuseTransmitter if name == DiffuseTransmitter.name else fits.kind(name)
+    cells = ((f"{prefix}`{one}`", *rest) for one, *rest in fits.told(kind))
+    return ["| " + " | ".join(c.replace("|", "\\|").replace("*", "\\*") for c in row) + " |" for row in cells]
 
 
 def curves(model: Model) -> tuple[list[Line], str]:

@@ -21,7 +21,7 @@ from gonio.models.k_correlation import KCorrelation
 from gonio.models.lambert import DiffuseTransmitter, Lambert
 from gonio.models.model import Model, build_model
 from gonio.models.oren_nayar import OrenNayar
-from gonio.models.parameters import Fitted
+from gonio.models.parameters import Fitted, parameter
 from gonio.models.retroreflecting import Retroreflecting
 from gonio.models.rpv import RPV
 from gonio.models.sum import Sum
@@ -55,6 +55,7 @@ __all__ = [
     "fresnel",
     "geometry",
     "htsg",
+    "parameter",
 ]
 
 if not TYPE_CHECKING:

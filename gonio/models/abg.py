@@ -1,15 +1,14 @@
 """ABg: scatter of polished optics as stray-light programs take it [Pfisterer2011]."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from gonio.models._compile import device, of_columns
 from gonio.models._math import _LOG2_E, exp2, log
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Model, store
-from gonio.models.parameters import Fitted, number, positive
+from gonio.models.model import Model
+from gonio.models.parameters import parameter
 
 
 @device
@@ -34,35 +33,34 @@ class ABg(Model):
     beta and beta_0 are the projections on the surface of the unit vectors of the detector's and the mirror direction.
     Reciprocal. Not bound in energy: A above some (2 - g)/(2 pi) reflects more than falls in, which every command that
     uses the model says. The specular beam itself is not in it.
-
-    Parameters
-    ----------
-    A
-        Level far from the mirror direction [1/sr], at least 0.
-    B
-        Where the lobe bends, above 0: A/B is the peak, and B^(1/g) the half width in |beta - beta_0|.
-    g
-        Slope, at least 0; 0 is Lambertian with A/(B + 1).
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    A: float = 1e-3
-    B: float = 1e-3
-    g: float = 1.5
+    A: float = parameter(
+        1e-3,
+        "[0, inf)",
+        "Level far from the mirror direction [1/sr].",
+        scale="log",
+        bounds=(1e-12, 1e4),
+        starts=(1e-4, 1e-2, 0.3),
+    )
+    B: float = parameter(
+        1e-3,
+        "(0, inf)",
+        "Where the lobe bends: A/B is the peak, and B^(1/g) the half width in |beta - beta_0|.",
+        scale="log",
+        bounds=(1e-12, 1e3),
+        starts=(1e-5, 1e-3, 0.1),
+    )
+    g: float = parameter(
+        1.5,
+        "[0, 20]",
+        "Slope; 0 is Lambertian with A/(B + 1).",
+        scale="linear",
+        bounds=(0.0, 6.0),
+        starts=(1.0, 2.0, 3.0),
+    )
     name: ClassVar[str] = "abg"
     rank: ClassVar[int] = 12
-    fitted: ClassVar[Mapping[str, Fitted]] = {
-        "A": Fitted(1e-12, 1e4, "log", starts=(1e-4, 1e-2, 0.3)),
-        "B": Fitted(1e-12, 1e3, "log", starts=(1e-5, 1e-3, 0.1)),
-        "g": Fitted(0.0, 6.0, starts=(1.0, 2.0, 3.0)),
-    }
-
-    def __post_init__(self) -> None:
-        store(self, A=number("A", self.A, 0.0), B=positive("B", self.B), g=number("g", self.g, 0.0, 20.0))
 
     @property
     def convention(self) -> str:

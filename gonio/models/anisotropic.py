@@ -19,20 +19,8 @@ from gonio.models._facets import OPPOSITE, fresnel, fresnel_constants, fresnel_r
 from gonio.models._loops import HALF_PI
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
-from gonio.models.model import Model, store
-from gonio.models.parameters import (
-    DIFFUSE,
-    Declaration,
-    Fitted,
-    Index,
-    Ior,
-    Levels,
-    Values,
-    checked_index,
-    index_at,
-    number,
-    optical,
-)
+from gonio.models.model import Model
+from gonio.models.parameters import INDEX, Declaration, Index, Ior, Levels, Values, index_at, optical, parameter
 from gonio.typing import Floats
 
 SAME_AZIMUTH_DEG = 2.0
@@ -93,36 +81,30 @@ class AnisotropicFacets(Model):
     masking, correlated in height (Heitz 2014), F the exact unpolarised reflectance for a complex index. It is
     reciprocal, and reflects no more than it receives. For brushed metal the slopes across the scratches are the
     larger: `alpha_along` < `alpha_across`. Turning the brushing by 90 degrees exchanges the two.
-
-    Parameters
-    ----------
-    alpha_along
-        Width of the distribution of slopes along the brushing, in [1e-50, 10]: the slope at which D cos^4 of the
-        facet's angle has fallen to a quarter.
-    alpha_across
-        The same across the brushing.
-    brushing_deg
-        Azimuth of the brushing from the sample's x axis [deg]; 180 degrees more are the same.
-    ior
-        Index of refraction n + ik of the facets: a complex number, [n, k], a material's name or a function of the
-        wavelength in nm.
-    s
-        The share of the facets, in [0, 1]; 1 - s is that of the diffuse base.
-    diffuse_albedo
-        The diffuse base's reflectance, in [0, 1].
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is out of range; the message names it.
     """
 
-    alpha_along: float = 0.1
-    alpha_across: float = 0.3
-    brushing_deg: float = 0.0
-    ior: Index = "Al"
-    s: float = 1.0
-    diffuse_albedo: float = 0.0
+    alpha_along: float = parameter(
+        0.1,
+        "[1e-50, 10]",
+        "Width of the distribution of slopes along the brushing: the slope at which D cos^4 of the facet's angle has"
+        " fallen to a quarter.",
+        scale="log",
+        bounds=(0.002, 3.0),
+    )
+    alpha_across: float = parameter(
+        0.3, "[1e-50, 10]", "The same across the brushing.", scale="log", bounds=(0.002, 3.0)
+    )
+    brushing_deg: float = parameter(
+        0.0,
+        "[-1e6, 1e6]",
+        "Azimuth of the brushing from the sample's x axis; 180 degrees more are the same.",
+        "deg",
+        scale="linear",
+        bounds=(-180.0, 180.0),  # twice round, so that no direction of brushing lies at a bound
+    )
+    ior: Index = parameter("Al", *INDEX)
+    s: float = parameter(1.0, "[0, 1]", "The share of the facets; 1 - s is that of the diffuse base.", scale="linear")
+    diffuse_albedo: float = parameter(0.0, "[0, 1]", "The diffuse base's reflectance.", scale="linear")
     name: ClassVar[str] = "anisotropic"
     rank: ClassVar[int] = 7
     assumes: ClassVar[str] = "facets that are large against the wavelength (Walter et al. 2007)"
@@ -131,7 +113,6 @@ class AnisotropicFacets(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
 
         def starts(levels: Levels) -> list[Values]:
             indices = (1.5,) if ior is not None else (1.5, 20.0)
@@ -148,39 +129,18 @@ class AnisotropicFacets(Model):
                 for alpha, ratio, brushing, s, n in grid
             ]
 
-        rows = {
-            "s": Fitted(0.0, 1.0),
-            "alpha_along": Fitted(0.002, 3.0, "log"),
-            "alpha_across": Fitted(0.002, 3.0, "log"),
-            # twice round, so that no direction of brushing lies at a bound
-            "brushing_deg": Fitted(-180.0, 180.0, unit="deg"),
-            "diffuse_albedo": DIFFUSE,
-        }
-
         def flat(v: Values) -> Values:
             return {"diffuse_albedo": (1.0 - v["s"]) / math.pi}
 
-        return optical(cls.name, rows, ior, starts, flat=flat, stated=_brushed_along)
+        return optical(cls.name, {"s": cls.fitted["s"], **cls.fitted}, ior, starts, flat=flat, stated=_brushed_along)
 
     @classmethod
     def undetermined_by(cls, directions: Directions) -> str:
-        """See `Model.undetermined_by`."""
         tilted = directions.theta_i > math.radians(SAME_AZIMUTH_DEG)
         half_turns = np.exp(2j * directions.phi_i[tilted])  # azimuths half a turn apart are the same
         if np.any(np.abs(np.angle(half_turns / half_turns[:1])) > 2.0 * math.radians(SAME_AZIMUTH_DEG)):
             return ""
         return "the light comes from one azimuth, which does not tell a surface's own direction"
-
-    def __post_init__(self) -> None:
-        store(
-            self,
-            alpha_along=number("alpha_along", self.alpha_along, 1e-50, 10.0),
-            alpha_across=number("alpha_across", self.alpha_across, 1e-50, 10.0),
-            brushing_deg=number("brushing_deg", self.brushing_deg, -1e6, 1e6, unit="deg"),
-            ior=checked_index(self.ior),
-            s=number("s", self.s, 0.0, 1.0),
-            diffuse_albedo=number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0),
-        )
 
     @property
     def convention(self) -> str:

@@ -4,7 +4,8 @@ Phong's and Torrance and Sparrow's highlights.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, replace
 from itertools import product
 from math import pi
 from typing import Any, ClassVar, Self
@@ -32,26 +33,26 @@ from gonio.models._math import _LOG2_E, exp2
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model, store
 from gonio.models.parameters import (
+    INDEX,
     Declaration,
-    Fitted,
     Index,
     Ior,
     Levels,
+    Parameter,
     Parameters,
     Values,
-    checked_index,
     checked_wavelength,
     choice,
     index_at,
     number,
     optical,
+    parameter,
     plain,
-    positive,
+    row,
 )
 from gonio.typing import ArrayLike, Floats
 
 DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
-SHARE, LEVEL = Fitted(0.0, 1.0), Fitted(0.0, 1e4)
 
 
 # --- kernels: p is (k_d/pi, k_s/pi, c1, c2 or c3, then |n~^2 - 1|^2, n^2 - k^2 - 1, n k) ---------------------------
@@ -171,25 +172,18 @@ class Phong(Model):
 
     brdf = (k_d + k_s s / cos(theta_i)) / pi [1/sr], s = (N.H)^exponent. The paper gives intensities; dividing by pi
     and by cos(theta_i) makes k_d an albedo. Not reciprocal, and infinite at grazing incidence where s > 0.
-
-    Parameters
-    ----------
-    k_d
-        Diffuse albedo, in [0, 1].
-    k_s
-        Weight of the highlight, at least 0.
-    exponent
-        Blinn's c1, at least 0: the larger, the narrower the highlight.
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    k_d: float = 0.5
-    k_s: float = 0.5
-    exponent: float = 50.0
+    k_d: float = parameter(0.5, "[0, 1]", "Diffuse albedo.", scale="linear")
+    k_s: float = parameter(0.5, "[0, inf)", "Weight of the highlight.", scale="linear", bounds=(0.0, 1e4))
+    exponent: float = parameter(
+        50.0,
+        "[0, inf)",
+        "Blinn's c1: the larger, the narrower the highlight.",
+        scale="log",
+        bounds=(0.1, 1e6),
+        geometry=True,
+    )
     name: ClassVar[str] = "phong"
     rank: ClassVar[int] = 3
     in_sums: ClassVar[str] = "gloss"
@@ -197,7 +191,6 @@ class Phong(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
 
         def starts(levels: Levels) -> list[Values]:
             return [
@@ -205,16 +198,7 @@ class Phong(Model):
                 for exponent, scale in product((3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 10000.0), (0.3, 1.0))
             ]
 
-        rows = {"k_d": SHARE, "k_s": LEVEL, "exponent": Fitted(0.1, 1e6, "log", geometry=True)}
-        return replace(plain(cls.name, rows), starts=starts)
-
-    def __post_init__(self) -> None:
-        store(
-            self,
-            k_d=number("k_d", self.k_d, 0.0, 1.0),
-            k_s=number("k_s", self.k_s, 0.0),
-            exponent=number("exponent", self.exponent, 0.0),
-        )
+        return replace(plain(cls.name, cls.fitted), starts=starts)
 
     @property
     def convention(self) -> str:
@@ -261,36 +245,28 @@ class Blinn(Model):
     deviation. G/(N.E) is taken without dividing by a cosine. The paper gives intensities, and s is not normalised;
     with the division by cos(theta_i) the BRDF is reciprocal. At exactly grazing the limit along equal polar angles is
     returned: +inf in the mirror direction.
-
-    Parameters
-    ----------
-    k_d
-        Diffuse albedo, in [0, 1].
-    k_s
-        Weight of the highlight, at least 0.
-    ior
-        Index n + ik (the paper: real), [n, k], a material's name, or a function of wavelength_nm.
-    distribution
-        "phong" (D1), "gaussian" (D2) or "trowbridge-reitz" (D3).
-    c
-        The distribution's coefficient: c1 >= 0, c2 >= 0, or c3 in (0, 1]; 0.5.
-    fresnel
-        "exact", or "1977": Blinn's shortcut as printed, without its factor 1/2 (twice the reflectance).
-    beta_deg
-        Instead of `c`: the angle from the normal where D falls to one half [degrees], in (0, 90).
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    k_d: float
-    k_s: float
-    ior: Any
-    distribution: str
-    c: float
-    fresnel: str
+    k_d: float = parameter(MISSING, "[0, 1]", "Diffuse albedo.", scale="linear")
+    k_s: float = parameter(MISSING, "[0, inf)", "Weight of the highlight.", scale="linear", bounds=(0.0, 1e4))
+    ior: Any = parameter(MISSING, *INDEX)
+    distribution: str = parameter(
+        MISSING, DISTRIBUTIONS, "The paper's D1 (phong), D2 (gaussian) or D3 (trowbridge-reitz)."
+    )
+    c: float = parameter(
+        MISSING,
+        "[0, inf)",
+        "The distribution's coefficient: c1, c2, or c3, which is in (0, 1]; 0.5 without it.",
+        scale="log",
+        bounds=(0.001, 1.0),
+        geometry=True,
+    )
+    fresnel: str = parameter(
+        MISSING, ("exact", "1977"), '"1977" is Blinn\'s shortcut as printed, without its 1/2 (twice the reflectance).'
+    )
+    besides: ClassVar[Mapping[str, Parameter]] = {
+        "beta_deg": row(None, "(0, 90)", "Instead of `c`: the angle from the normal where D falls to one half.", "deg")
+    }
     name: ClassVar[str] = "blinn"
     rank: ClassVar[int] = 4
     assumes: ClassVar[str] = "facets that are large against the wavelength (Torrance and Sparrow 1967)"
@@ -300,15 +276,13 @@ class Blinn(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
 
         def starts(levels: Levels) -> list[Values]:
             grid = product((0.03, 0.08, 0.15, 0.3, 0.5, 0.8), (0.03, 0.3, 1.0), (1.5, 5.0, 50.0))
             k_d = min(levels.diffuse, 1.0)
             return [{"k_d": k_d, "k_s": levels.peak * scale, "c": c, "ior": n} for c, scale, n in grid]
 
-        rows = {"k_d": SHARE, "k_s": LEVEL, "c": Fitted(0.001, 1.0, "log", geometry=True)}
-        return optical(cls.name, rows, ior, starts)
+        return optical(cls.name, cls.fitted, ior, starts)
 
     def __init__(
         self,
@@ -321,24 +295,16 @@ class Blinn(Model):
         *,
         beta_deg: float | None = None,
     ) -> None:
-        distribution = choice("distribution", distribution, DISTRIBUTIONS)
         if c is not None and beta_deg is not None:
             raise ArgumentError("c and beta_deg are both given: beta_deg stands instead of c")
         if beta_deg is not None:
-            c = coefficient(distribution, math.radians(number("beta_deg", beta_deg, unit="deg")))
-        else:
-            c = 0.5 if c is None else number("c", c, 0.0)
-            if distribution == "trowbridge-reitz":
-                c = number("c", positive("c", c), 1e-50, 1.0)
-        store(
-            self,
-            k_d=number("k_d", k_d, 0.0, 1.0),
-            k_s=number("k_s", k_s, 0.0),
-            ior=checked_index(ior),
-            distribution=distribution,
-            c=c,
-            fresnel=choice("fresnel", fresnel, ("exact", "1977")),
-        )
+            c = coefficient(distribution, math.radians(self.besides["beta_deg"].checked("beta_deg", beta_deg)))
+        elif c is None:
+            c = 0.5
+        store(self, k_d=k_d, k_s=k_s, ior=ior, distribution=distribution, c=c, fresnel=fresnel)
+        self.__post_init__()
+        if self.distribution == "trowbridge-reitz":
+            number("c", self.c, 1e-50, 1.0)
 
     @classmethod
     def preset(cls, preset: str, **changes: Any) -> Self:
@@ -424,7 +390,7 @@ class Blinn(Model):
         ArgumentError
             An argument is NaN or out of range; the message names it.
         """
-        least = number("c_min", positive("c_min", c_min), 1e-50, 1.0)
+        least = number("c_min", c_min, 1e-50, 1.0)
         cosine, texture = engine.real_array("cos_alpha", cos_alpha), engine.real_array("t", t)
         for key, array in (("cos_alpha", cosine), ("t", texture)):
             if not bool(np.all((array >= 0.0) & (array <= 1.0))):

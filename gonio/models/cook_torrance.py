@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, replace
 from itertools import product
 from math import pi, sqrt
 from typing import Any, ClassVar, Self
@@ -18,13 +18,14 @@ from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import n_from_f0, reflectance
 from gonio.models.model import Model, store
 from gonio.models.parameters import (
-    DIFFUSE,
+    INDEX,
     Arguments,
     Declaration,
     Fitted,
     Index,
     Ior,
     Levels,
+    Parameter,
     Parameters,
     Values,
     checked_index,
@@ -34,7 +35,8 @@ from gonio.models.parameters import (
     number,
     optical,
     optical_argument,
-    positive,
+    parameter,
+    row,
 )
 from gonio.typing import ArrayLike, Floats
 
@@ -109,6 +111,24 @@ PRESETS: dict[str, Parameters] = {
 """The paper's parameter sets by name. The index 1.54 of vinyl (polyvinyl chloride) is ours: the paper gives none."""
 
 
+def _checked_slopes(name: str, slopes: Any) -> tuple[tuple[float, float], ...]:
+    if isinstance(slopes, (int, float)):
+        slopes = ((slopes, 1.0),)
+    try:
+        pairs = [(m, w) for m, w in slopes]
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{name} = {slopes!r}: must be pairs (rms slope m, weight), or one slope") from None
+    if not pairs:
+        raise ArgumentError(f"{name}: needs at least one pair (rms slope m, weight)")
+    checked = []
+    for j, (m, w) in enumerate(pairs):
+        checked.append((number(f"{name}[{j}] m", m, 1e-100, 1e6), number(f"{name}[{j}] weight", w, 0.0)))
+    total = math.fsum(w for _, w in checked)
+    if abs(total - 1.0) > 1e-6:
+        raise ArgumentError(f"{name}: the weights sum to {total:g}, and must sum to 1")
+    return tuple(checked)
+
+
 @dataclass(frozen=True, init=False, repr=False)
 class CookTorrance(Model):
     """Mirror facets with V-groove shadowing over a diffuse base: brdf = s R_s + d diffuse_albedo / pi [1/sr].
@@ -120,44 +140,44 @@ class CookTorrance(Model):
     the one along a line. Reciprocal. At exactly grazing the limit along equal polar angles is returned: +inf in the
     mirror direction. Accurate to some 1e-15 (1 + the formula's conditioning); from angles within some milliradians of
     grazing, for slopes below 1e-3, to that of the vectors they are turned into, 1/cos(theta) times more.
-
-    Parameters
-    ----------
-    s
-        Share of the facets, in [0, 1].
-    d
-        Share of the diffuse base, in [0, 1], s + d <= 1. Without it 0; with `m` it is 1 - s.
-    slopes
-        Pairs (rms slope m, weight); weights are at least 0 and sum to 1. A single number is one slope.
-    ior
-        Complex index n + ik, [n, k], a material's name, or a function of wavelength_nm; 0.64 + 2.6i (copper at 550 nm).
-    distribution
-        "beckmann" or "gaussian".
-    diffuse_albedo
-        Albedo of the diffuse part, in [0, 1]: R_d = diffuse_albedo / pi.
-    convention
-        "paper" or "normalised".
-    f0
-        Reflectance at normal incidence, instead of `ior`: n = (1 + sqrt F_0)/(1 - sqrt F_0), k = 0.
-    fresnel
-        "exact", or "schlick": F_0 + (1 - F_0)(1 - V.H)^5 (Schlick 1994), as many published fits have it.
-    m
-        Rms slope of the facets, above 0: one slope in the place of `slopes`.
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    s: float
-    d: float
-    slopes: tuple[tuple[float, float], ...]
-    ior: Any
-    distribution: str
-    diffuse_albedo: float
     normalisation: str
-    fresnel: str
+    s: float = parameter(MISSING, "[0, 1]", "Share of the facets.", scale="linear")
+    d: float = parameter(
+        MISSING, "[0, 1]", "Share of the diffuse base, s + d <= 1. Without it 0; with `m` it is 1 - s."
+    )
+    slopes: tuple[tuple[float, float], ...] = parameter(
+        MISSING,
+        _checked_slopes,
+        "Pairs (rms slope m, weight); weights are at least 0 and sum to 1. A single number is one slope.",
+    )
+    ior: Any = parameter(MISSING, INDEX[0], INDEX[1] + " Without it that of copper at 550 nm, 0.64 + 2.6i.")
+    distribution: str = parameter(MISSING, ("beckmann", "gaussian"), "Distribution of the facets' slopes.")
+    diffuse_albedo: float = parameter(
+        MISSING, "[0, 1]", "Albedo of the diffuse part: R_d = diffuse_albedo / pi.", scale="linear"
+    )
+    fresnel: str = parameter(
+        MISSING,
+        ("exact", "schlick"),
+        '"schlick": F_0 + (1 - F_0)(1 - V.H)^5 (Schlick 1994), as many published fits have it.',
+    )
+    besides: ClassVar[Mapping[str, Parameter]] = {
+        "convention": row("paper", ("paper", "normalised"), "R_s as printed, or a quarter of it."),
+        "f0": row(
+            None,
+            "[0, 1)",
+            "Reflectance at normal incidence, instead of `ior`: n = (1 + sqrt F_0)/(1 - sqrt F_0), k = 0.",
+        ),
+        "m": row(
+            None,
+            "[1e-100, 1e6]",
+            "Rms slope of the facets: one slope in the place of `slopes`.",
+            scale="log",
+            bounds=(0.0005, 3.0),
+            geometry=True,
+        ),
+    }
     name: ClassVar[str] = "cook-torrance"
     rank: ClassVar[int] = 5
     assumes: ClassVar[str] = "facets that are large against the wavelength (Cook and Torrance 1982, sec. 1)"
@@ -168,7 +188,6 @@ class CookTorrance(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
         names = ("m",) if slopes == 1 else ("m_1", "m_2", "w_1")
 
         def arguments(v: Values) -> Arguments:
@@ -192,10 +211,11 @@ class CookTorrance(Model):
                 for width, s, n in product(widths, (0.03, 0.2, 0.7), (1.5, 3.0, 20.0))
             ]
 
-        width, share = Fitted(0.0005, 3.0, "log", geometry=True), Fitted(0.0, 1.0, geometry=True)
-        own = {n: share if n == "w_1" else width for n in names}
+        width, share = cls.besides["m"].fitted, Fitted(0.0, 1.0, geometry=True)
+        own = {n: share if n == "w_1" or width is None else width for n in names}
+        rows = {"s": cls.fitted["s"], **own, "diffuse_albedo": cls.fitted["diffuse_albedo"]}
         return replace(
-            optical(cls.name, {"s": Fitted(0.0, 1.0), **own, "diffuse_albedo": DIFFUSE}, ior, starts),
+            optical(cls.name, rows, ior, starts),
             arguments=arguments,
             flat=lambda v: {"diffuse_albedo": (1.0 - v["s"]) / math.pi},
             derived=lambda v: {"d": 1.0 - v["s"]} | ({"w_2": 1.0 - v["w_1"]} if slopes == 2 else {}),
@@ -218,10 +238,9 @@ class CookTorrance(Model):
         if m is not None and slopes is not None:
             raise ArgumentError("m and slopes are both given: m is the one slope, instead of slopes")
         if slopes is None:
-            slopes = ((0.4, 0.4), (0.2, 0.6)) if m is None else ((positive("m", m), 1.0),)
-        s = number("s", s, 0.0, 1.0)
+            slopes = ((0.4, 0.4), (0.2, 0.6)) if m is None else ((self.besides["m"].checked("m", m), 1.0),)
         if d is None:
-            d = 0.0 if m is None else 1.0 - s
+            d = 0.0 if m is None else 1.0 - self.table["s"].checked("s", s)
         if f0 is not None and ior is not None:
             raise ArgumentError("f0 and ior are both given: f0 stands instead of ior")
         if f0 is not None:
@@ -229,14 +248,15 @@ class CookTorrance(Model):
         store(
             self,
             s=s,
-            d=number("d", d, 0.0, 1.0),
-            slopes=_checked_slopes(slopes),
-            ior=checked_index(DEFAULT_INDEX if ior is None else ior),
-            distribution=choice("distribution", distribution, ("beckmann", "gaussian")),
-            diffuse_albedo=number("diffuse_albedo", diffuse_albedo, 0.0, 1.0),
-            normalisation=choice("convention", convention, ("paper", "normalised")),
-            fresnel=choice("fresnel", fresnel, ("exact", "schlick")),
+            d=d,
+            slopes=slopes,
+            ior=DEFAULT_INDEX if ior is None else ior,
+            distribution=distribution,
+            diffuse_albedo=diffuse_albedo,
+            normalisation=self.besides["convention"].checked("convention", convention),
+            fresnel=fresnel,
         )
+        self.__post_init__()
         if self.s + self.d > 1.0 + 1e-12:
             raise ArgumentError(f"s + d = {self.s + self.d:g}: the shares must not exceed 1")
 
@@ -363,22 +383,3 @@ class CookTorrance(Model):
             return self.diffuse_albedo
         theta = number("theta_r", theta_r, 0.0, pi / 2, "rad")
         return float(self.hemispherical_directional(theta, wavelength_nm=wavelength_nm))
-
-
-def _checked_slopes(slopes: Any) -> tuple[tuple[float, float], ...]:
-    if isinstance(slopes, (int, float)):
-        slopes = ((slopes, 1.0),)
-    try:
-        pairs = [(m, w) for m, w in slopes]
-    except (TypeError, ValueError):
-        raise ArgumentError(f"slopes = {slopes!r}: must be pairs (rms slope m, weight), or one slope") from None
-    if not pairs:
-        raise ArgumentError("slopes: needs at least one pair (rms slope m, weight)")
-    checked = []
-    for j, (m, w) in enumerate(pairs):
-        slope = positive(f"slopes[{j}] m", m)
-        checked.append((number(f"slopes[{j}] m", slope, 1e-100, 1e6), number(f"slopes[{j}] weight", w, 0.0)))
-    total = math.fsum(w for _, w in checked)
-    if abs(total - 1.0) > 1e-6:
-        raise ArgumentError(f"slopes: the weights sum to {total:g}, and must sum to 1")
-    return tuple(checked)

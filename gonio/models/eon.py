@@ -1,7 +1,6 @@
 """Energy-preserving Oren-Nayar [Portsmouth2025]: Fujii's form, and the light that meets several facets."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import pi, sqrt
 from typing import ClassVar
@@ -11,8 +10,8 @@ import numpy as np
 from gonio.models._compile import device, of_columns
 from gonio.models._math import atan_over
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Model, store
-from gonio.models.parameters import Declaration, Fitted, Ior, number, plain
+from gonio.models.model import Model
+from gonio.models.parameters import ALBEDO, Declaration, Ior, parameter, plain
 from gonio.typing import Floats
 
 GRAZING = 1e-150
@@ -57,40 +56,29 @@ class EON(Model):
     f_ss = rho/pi A (1 + r s/t), A = 1/(1 + (1/2 - 2/(3 pi)) r), s = L.V - N.L N.V, t = max(N.L, N.V) where s > 0 and 1
     elsewhere. f_ms takes what f_ss loses, coloured by the number of its reflections, with the exact albedo of f_ss. At
     rho = 1 everything is reflected from every direction. Reciprocal. r = 0 is Lambert.
-
-    Parameters
-    ----------
-    rho
-        Albedo of a single reflection, in [0, 1].
-    r
-        Roughness, in [0, 1]: about the rms slope of Oren and Nayar up to pi/4.
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    rho: float = 0.5
-    r: float = 0.5
+    rho: float = parameter(
+        0.5, "[0, 1]", "Albedo of a single reflection.", scale="linear", bounds=ALBEDO, starts="diffuse"
+    )
+    r: float = parameter(
+        0.5,
+        "[0, 1]",
+        "Roughness: about the rms slope of Oren and Nayar up to pi/4.",
+        scale="linear",
+        starts=(0.1, 0.5, 0.9),
+        geometry=True,
+    )
     name: ClassVar[str] = "eon"
     rank: ClassVar[int] = 11
     assumes: ClassVar[str] = "facets that are large against the wavelength (Oren and Nayar 1994)"
     in_sums: ClassVar[str] = "base"
-    fitted: ClassVar[Mapping[str, Fitted]] = {
-        "rho": Fitted(1e-6, 1.0, starts="diffuse"),
-        "r": Fitted(0.0, 1.0, starts=(0.1, 0.5, 0.9), geometry=True),
-    }
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
         return replace(
             plain(cls.name, cls.fitted), base_starts=lambda albedo: [{"rho": albedo, "r": r} for r in (0.2, 0.8)]
         )
-
-    def __post_init__(self) -> None:
-        store(self, rho=number("rho", self.rho, 0.0, 1.0), r=number("r", self.r, 0.0, 1.0))
 
     @property
     def convention(self) -> str:

@@ -5,6 +5,7 @@
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from math import pi, sqrt
@@ -19,22 +20,23 @@ from gonio.models._compile import device, of_columns
 from gonio.models._facets import by_cosines, facet, fresnel, fresnel_constants
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
-from gonio.models.model import Model, store
+from gonio.models.model import Model
 from gonio.models.parameters import (
-    DIFFUSE,
+    INDEX,
     Declaration,
-    Fitted,
     Ior,
     Levels,
+    Parameter,
     Values,
-    checked_index,
     index_at,
-    number,
     optical,
+    parameter,
+    row,
 )
 from gonio.typing import Floats
 
-WIDTH = Fitted(1e-3, 1.0, "log", geometry=True)
+NARROWEST = 1e-3
+"""Width below which nothing is fitted, and the light between facets is not known."""
 
 
 @device
@@ -73,24 +75,27 @@ class GGX(Model):
     1/(1 + Lambda(L) + Lambda(V)), F the exact unpolarised reflectance. Reciprocal. Facets reflect less than they
     receive: light that meets several is lost (`ggx-multiscatter` has it). The base may lift the sum above 1.
 
-    Parameters
-    ----------
-    alpha
-        Width a_x of the slopes, in [1e-4, 1]; an artist's roughness is its root.
-    ior
-        Index n + ik, [n, k], a material's name, or a function of wavelength_nm.
-    diffuse_albedo
-        Reflectance of the base, in [0, 1].
-    alpha_y
-        Width across x where it is another one; None: a_y = a_x.
-
-    rho_dh is right to 1e-6. Raises `ArgumentError` for a parameter out of range, naming it.
+    rho_dh is right to 1e-6.
     """
 
-    alpha: float = 0.3
-    ior: Any = 1.5
-    diffuse_albedo: float = 0.0
-    alpha_y: float | None = None
+    alpha: float = parameter(
+        0.3,
+        "[1e-4, 1]",
+        "Width a_x of the slopes; an artist's roughness is its root.",
+        scale="log",
+        bounds=(NARROWEST, 1.0),
+        geometry=True,
+    )
+    ior: Any = parameter(1.5, *INDEX)
+    diffuse_albedo: float = parameter(0.0, "[0, 1]", "Reflectance of the base.", scale="linear")
+    alpha_y: float | None = parameter(
+        None,
+        "[1e-4, 1]",
+        "Width across x where it is another one; None: a_y = a_x.",
+        scale="log",
+        bounds=(NARROWEST, 1.0),
+        geometry=True,
+    )
     name: ClassVar[str] = "ggx"
     rank: ClassVar[int] = 13
     assumes: ClassVar[str] = "facets that are large against the wavelength (Walter et al. 2007)"
@@ -106,14 +111,8 @@ class GGX(Model):
             base = min(levels.diffuse, 1.0)
             return [{"alpha": a, "alpha_y": a, "ior": n, "diffuse_albedo": share * base} for a, n, share in grid]
 
-        rows, flat = {"alpha": WIDTH, "diffuse_albedo": DIFFUSE, "alpha_y": WIDTH}, {"diffuse_albedo": 1.0 / pi}
-        return optical(cls.name, rows, ior, starts, only_freed=("alpha_y",), flat=lambda v: flat)
-
-    def __post_init__(self) -> None:
-        store(self, alpha=number("alpha", self.alpha, 1e-4, 1.0), ior=checked_index(self.ior))
-        store(self, diffuse_albedo=number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0))
-        if self.alpha_y is not None:
-            store(self, alpha_y=number("alpha_y", self.alpha_y, 1e-4, 1.0))
+        flat = {"diffuse_albedo": 1.0 / pi}
+        return optical(cls.name, cls.fitted, ior, starts, only_freed=("alpha_y",), flat=lambda v: flat)
 
     @property
     def convention(self) -> str:
@@ -192,7 +191,6 @@ def albedo(theta: Floats, a: float, index: complex, tolerance: float) -> Floats:
 # --- with the light that meets several facets, by Kulla and Conty's lobe [Kulla2017] ------------------------------
 
 
-NARROWEST = 1e-3
 IN_MU, IN_ALPHA, NODES = 24, 12, 128
 """Coefficients over the cosine and the width; nodes a side of what they are made from. The energy lost between facets
 is then right to 1e-3 of the light (tests/gonio/models/test_newer_models.py)."""
@@ -222,11 +220,15 @@ class GGXMultiscatter(GGX):
 
     name: ClassVar[str] = "ggx-multiscatter"
     rank: ClassVar[int] = 14
+    table: ClassVar[Mapping[str, Parameter]] = {
+        **GGX.table,
+        "alpha": row(0.3, f"[{NARROWEST:g}, 1]", GGX.table["alpha"].text, scale="log", geometry=True),
+    }
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, *_: Any) -> None:
         super().__post_init__()
-        if self.alpha_y is not None or self.alpha < NARROWEST:
-            raise ArgumentError(f"ggx-multiscatter: alpha is at least {NARROWEST:g}, and alpha_y is not taken")
+        if self.alpha_y is not None:
+            raise ArgumentError("ggx-multiscatter: alpha_y is not taken")
 
     @property
     def convention(self) -> str:

@@ -1,15 +1,13 @@
 """Hapke's reflectance of particulate surfaces, with macroscopic roughness [Hapke1984, Hapke2002]."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from gonio.models.arrays import ArrayModel
-from gonio.models.model import store
-from gonio.models.parameters import Fitted, choice, number, positive
+from gonio.models.parameters import parameter
 from gonio.typing import Floats
 
 GRAZING = 1e-12
@@ -22,50 +20,36 @@ class Hapke(ArrayModel):
     r = w/(4 pi) mu_0/(mu_0 + mu) ((1 + B(g)) P(g) + H(mu_0) H(mu) - 1) S, with B = b0 / (1 + tan(g/2)/h) and P = 1 + b
     cos(g); g is the angle between source and detector. Roughness changes mu_0 and mu into effective cosines and
     multiplies by the shadowing S (Hapke 1984). Reciprocal. Bound in energy for b0 = 0; b0 > 0 adds to it near grazing.
-
-    Parameters
-    ----------
-    w
-        Single-scattering albedo, in [0, 1].
-    h
-        Angular width of the opposition effect, above 0.
-    b0
-        Size of the opposition effect, in [0, 1].
-    b
-        First Legendre coefficient of the phase function, in [-1, 1]; above 0 light goes back.
-    theta_bar_deg
-        Mean slope of the macroscopic roughness [deg], in [0, 60].
-    h_function
-        "1981": (1 + 2x)/(1 + 2x sqrt(1 - w)); "2002": Hapke's better approximation.
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    w: float = 0.6
-    h: float = 0.06
-    b0: float = 1.0
-    b: float = 0.5
-    theta_bar_deg: float = 0.0
-    h_function: str = "1981"
+    w: float = parameter(
+        0.6, "[0, 1]", "Single-scattering albedo.", scale="linear", bounds=(1e-3, 1.0), starts=(0.2, 0.6, 0.95)
+    )
+    h: float = parameter(
+        0.06,
+        "(0, inf)",
+        "Angular width of the opposition effect.",
+        scale="log",
+        bounds=(1e-3, 2.0),
+        starts=(0.03, 0.3),
+    )
+    b0: float = parameter(1.0, "[0, 1]", "Size of the opposition effect.", scale="linear", starts=(0.5,))
+    b: float = parameter(
+        0.5,
+        "[-1, 1]",
+        "First Legendre coefficient of the phase function; above 0 light goes back.",
+        scale="linear",
+        starts=(-0.3, 0.3),
+    )
+    theta_bar_deg: float = parameter(
+        0.0, "[0, 60]", "Mean slope of the macroscopic roughness.", "deg", scale="linear", starts=(5.0, 25.0)
+    )
+    h_function: str = parameter(
+        "1981", ("1981", "2002"), '"1981": (1 + 2x)/(1 + 2x sqrt(1 - w)); "2002": Hapke\'s better approximation.'
+    )
     name: ClassVar[str] = "hapke"
     rank: ClassVar[int] = 17
     assumes: ClassVar[str] = "particles that are large against the wavelength (Hapke 1984)"
-    fitted: ClassVar[Mapping[str, Fitted]] = {
-        "w": Fitted(1e-3, 1.0, starts=(0.2, 0.6, 0.95)),
-        "h": Fitted(1e-3, 2.0, "log", starts=(0.03, 0.3)),
-        "b0": Fitted(0.0, 1.0, starts=(0.5,)),
-        "b": Fitted(-1.0, 1.0, starts=(-0.3, 0.3)),
-        "theta_bar_deg": Fitted(0.0, 60.0, "linear", "deg", starts=(5.0, 25.0)),
-    }
-
-    def __post_init__(self) -> None:
-        unit = {n: number(n, getattr(self, n), low, 1.0) for n, low in (("w", 0.0), ("b0", 0.0), ("b", -1.0))}
-        theta = number("theta_bar_deg", self.theta_bar_deg, 0.0, 60.0, unit="deg")
-        form = choice("h_function", self.h_function, ("1981", "2002"))
-        store(self, **unit, h=positive("h", self.h), theta_bar_deg=theta, h_function=form)
 
     @property
     def convention(self) -> str:

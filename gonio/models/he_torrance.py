@@ -16,32 +16,30 @@ from gonio.models._htsg_series import TIERS
 from gonio.models._loops import HALF_PI
 from gonio.models.engine import Constants, Kernel
 from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
-from gonio.models.model import Model, store
+from gonio.models.model import Model
 from gonio.models.parameters import (
-    DIFFUSE,
+    INDEX,
     Declaration,
-    Fitted,
     Index,
     Ior,
     Levels,
     Values,
-    checked_index,
     checked_wavelength,
-    choice,
     index_at,
     number,
     optical,
+    parameter,
 )
 from gonio.typing import ArrayLike, Floats, NDArray
 
 LARGEST_UM = 1e12
+"""Largest roughness and correlation length [um]; the inverse is the smallest correlation length. Beyond these the
+constants of the series leave the range of floating-point numbers."""
 STEEP = 0.25
 """Mean square slope above which slopes are not gentle. At it the lobe of a perfect reflector has lost a third of the
 light at normal incidence: what meets the surface twice is not in it."""
 ORDERS = (4, 6, 8, 12, 18, 27, 40)
 """Orders of the rules that integrate the lobe over the hemisphere, one after the other."""
-"""Largest roughness and correlation length [um]; the inverse is the smallest correlation length. Beyond these the
-constants of the series leave the range of floating-point numbers."""
 
 
 @dataclass(frozen=True)
@@ -51,35 +49,49 @@ class HeTorrance(Model):
     ``brdf`` holds the lobe (He1991 eq. 71) and ``diffuse_albedo / pi``; the spike's reflectivity is
     `specular_reflectivity`, and `gonio.instrument` spreads it over an instrument's cones.
 
-    Parameters
-    ----------
-    sigma0_um
-        Rms roughness [um], in [0, 1e12]; at 0 the lobe is 0 and the spike that of a smooth surface.
-    tau_um
-        Correlation length of the Gaussian autocorrelation exp(-r^2/tau^2) [um], in [1e-12, 1e12].
-    ior
-        Complex refractive index n + ik: a number, [n, k], a material's name, or a function of wavelength_nm.
-    diffuse_albedo
-        Albedo of the uniform diffuse part, in [0, 1]: the paper's a(lambda), whose BRDF is a/pi (the print's eq. 72
-        leaves the pi out).
-    shadowing
-        "smith": eq. 25 with the factor exp(-h^2) that the print lacks; "paper": as printed.
-    tolerance
-        Largest relative error (times 1 + conditioning) of the series: the cheapest of the evaluations for 1e-12,
-        1e-9 and 1e-6 that holds it is taken.
-
     Notes
     -----
     At exactly grazing (cos theta = 0) the effective roughness is 0 in the limit, reached like 1/sqrt(ln), and with it
     the lobe and the spike's reflectivity.
     """
 
-    sigma0_um: float = 0.28
-    tau_um: float = 1.77
-    ior: Index = 0.77 + 6.08j
-    diffuse_albedo: float = 0.0
-    shadowing: str = "smith"
-    tolerance: float = 1e-12
+    sigma0_um: float = parameter(
+        0.28,
+        f"[0, {LARGEST_UM:g}]",
+        "Rms roughness; at 0 the lobe is 0 and the spike that of a smooth surface.",
+        "um",
+        scale="log",
+        bounds=(1e-4, 100.0),
+        geometry=True,
+    )
+    tau_um: float = parameter(
+        1.77,
+        f"[{1.0 / LARGEST_UM:g}, {LARGEST_UM:g}]",
+        "Correlation length of the Gaussian autocorrelation exp(-r^2/tau^2).",
+        "um",
+        scale="log",
+        bounds=(1e-3, 1e4),
+        geometry=True,
+    )
+    ior: Index = parameter(0.77 + 6.08j, *INDEX)
+    diffuse_albedo: float = parameter(
+        0.0,
+        "[0, 1]",
+        "Albedo of the uniform diffuse part: the paper's a(lambda), whose BRDF is a/pi (the print's eq. 72 leaves the"
+        " pi out).",
+        scale="linear",
+    )
+    shadowing: str = parameter(
+        "smith",
+        ("smith", "paper"),
+        '"smith": eq. 25 with the factor exp(-h^2) that the print lacks; "paper": as printed.',
+    )
+    tolerance: float = parameter(
+        1e-12,
+        f"[{min(TIERS):g}, inf)",
+        "Largest relative error (times 1 + conditioning) of the series: the cheapest of the evaluations for 1e-12, 1e-9"
+        " and 1e-6 that holds it is taken.",
+    )
     name: ClassVar[str] = "he-torrance"
     rank: ClassVar[int] = 6
     in_sums: ClassVar[str] = "weighted gloss"
@@ -89,7 +101,6 @@ class HeTorrance(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
 
         def starts(levels: Levels) -> list[Values]:
             wave, albedo = levels.wavelength_um, min(levels.diffuse, 1.0)
@@ -101,30 +112,14 @@ class HeTorrance(Model):
                 for r, m, n in product(roughness, slope, indices)
             ]
 
-        rows = {
-            "sigma0_um": Fitted(1e-4, 100.0, "log", "um", geometry=True),
-            "tau_um": Fitted(1e-3, 1e4, "log", "um", geometry=True),
-            "diffuse_albedo": DIFFUSE,
-        }
         return optical(
             cls.name,
-            rows,
+            cls.fitted,
             ior,
             starts,
             needs_wavelength=True,
             flat=lambda v: {"diffuse_albedo": 1.0 / math.pi},
             derived=lambda v: {"slope_m": 2.0 * v["sigma0_um"] / v["tau_um"]},
-        )
-
-    def __post_init__(self) -> None:
-        store(
-            self,
-            sigma0_um=number("sigma0_um", self.sigma0_um, 0.0, LARGEST_UM, unit="um"),
-            tau_um=number("tau_um", self.tau_um, 1.0 / LARGEST_UM, LARGEST_UM, unit="um"),
-            ior=checked_index(self.ior),
-            diffuse_albedo=number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0),
-            shadowing=choice("shadowing", self.shadowing, ("smith", "paper")),
-            tolerance=number("tolerance", self.tolerance, min(TIERS)),
         )
 
     def outside(self, wavelength_nm: float) -> str:

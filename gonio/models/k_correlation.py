@@ -1,7 +1,6 @@
 """Scatter of nearly smooth surfaces: the vector perturbation theory with an ABC spectrum [Church1979, Stover2012]."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,20 +8,7 @@ import numpy as np
 
 from gonio.models.arrays import ArrayModel
 from gonio.models.fresnel import reflectance
-from gonio.models.model import store
-from gonio.models.parameters import (
-    Declaration,
-    Fitted,
-    Ior,
-    Levels,
-    Values,
-    checked_index,
-    index_at,
-    number,
-    optical,
-    plain,
-    positive,
-)
+from gonio.models.parameters import INDEX, Declaration, Ior, Levels, Values, index_at, optical, parameter, plain
 from gonio.typing import Floats
 
 ROUGH = 0.1
@@ -36,51 +22,51 @@ class KCorrelation(ArrayModel):
     S = sigma^2 (c - 1) B^2/(2 pi) / (1 + (B f)^2)^((c + 1)/2) [um^4] of the spatial frequency f, of integral sigma^2.
     Right where 4 pi sigma cos(theta)/lambda is far below 1; scales with the wavelength by itself. Reciprocal. Energy is
     right to first order: the beam keeps R exp(-(4 pi sigma_rel cos/lambda)^2).
-
-    Parameters
-    ----------
-    sigma_um
-        rms roughness over all spatial frequencies [um], above 0.
-    b_um
-        B: 2 pi times the length beyond which the surface is white [um], above 0.
-    c
-        Slope of the spectrum at high frequencies, above 1 and at most 10.
-    ior
-        Index n + ik, [n, k], a material's name, or a function of wavelength_nm.
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    sigma_um: float = 0.005
-    b_um: float = 50.0
-    c: float = 2.0
-    ior: Any = "Al"
+    sigma_um: float = parameter(
+        0.005,
+        "(0, inf)",
+        "rms roughness over all spatial frequencies.",
+        "um",
+        scale="log",
+        bounds=(1e-5, 1.0),
+        starts=(0.002, 0.02, 0.1),
+        geometry=True,
+    )
+    b_um: float = parameter(
+        50.0,
+        "(0, inf)",
+        "B: 2 pi times the length beyond which the surface is white.",
+        "um",
+        scale="log",
+        bounds=(0.01, 1e4),
+        starts=(1.0, 10.0, 200.0),
+        geometry=True,
+    )
+    c: float = parameter(
+        2.0,
+        "[1.000001, 10]",
+        "Slope of the spectrum at high frequencies.",
+        scale="linear",
+        bounds=(1.01, 10.0),
+        starts=(1.5, 2.5),
+        geometry=True,
+    )
+    ior: Any = parameter("Al", *INDEX)
     name: ClassVar[str] = "k-correlation"
     rank: ClassVar[int] = 15
     needs_wavelength: ClassVar[bool] = True
     has_ior: ClassVar[bool] = True
-    fitted: ClassVar[Mapping[str, Fitted]] = {
-        "sigma_um": Fitted(1e-5, 1.0, "log", "um", starts=(0.002, 0.02, 0.1), geometry=True),
-        "b_um": Fitted(0.01, 1e4, "log", "um", starts=(1.0, 10.0, 200.0), geometry=True),
-        "c": Fitted(1.01, 10.0, starts=(1.5, 2.5), geometry=True),
-    }
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
 
         def starts(levels: Levels) -> list[Values]:
             shape = plain(cls.name, cls.fitted, True).starts(levels)
             return [{**values, "ior": n} for values in shape for n in (1.5, 20.0)]
 
         return optical(cls.name, cls.fitted, ior, starts, needs_wavelength=True)
-
-    def __post_init__(self) -> None:
-        store(self, sigma_um=positive("sigma_um", self.sigma_um, "um"), b_um=positive("b_um", self.b_um, "um"))
-        store(self, c=number("c", self.c, 1.0 + 1e-6, 10.0), ior=checked_index(self.ior))
 
     def outside(self, wavelength_nm: float) -> str:
         """Whether the surface is too rough for the first order: (4 pi sigma_rel/lambda)^2 has to be far below 1.

@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass, replace
 from math import pi
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from gonio.errors import ArgumentError
 from gonio.models._compile import device
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Model, store
-from gonio.models.parameters import ALBEDO, Declaration, Ior, number, plain
+from gonio.models.model import Model
+from gonio.models.parameters import ALBEDO, Declaration, Ior, parameter, plain
 from gonio.typing import Floats
 
 
@@ -23,30 +23,20 @@ def lambert(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, repr=False)
 class Lambert(Model):
-    """A perfect diffuser: brdf = albedo / pi [1/sr].
+    """A perfect diffuser: brdf = albedo / pi [1/sr]."""
 
-    Parameters
-    ----------
-    albedo
-        Directional-hemispherical reflectance, in [0, 1].
-    """
-
-    albedo: float = 0.5
+    albedo: float = parameter(0.5, "[0, 1]", "Directional-hemispherical reflectance.", scale="linear", bounds=ALBEDO)
     name: ClassVar[str] = "lambert"
     rank: ClassVar[int] = 1
     in_sums: ClassVar[str] = "base"
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
         return replace(
-            plain(cls.name, {"albedo": ALBEDO}),
-            starts=lambda levels: [{"albedo": ALBEDO.inside(levels.median)}],
+            plain(cls.name, cls.fitted),
+            starts=lambda levels: [{"albedo": cls.fitted["albedo"].inside(levels.median)}],
             flat=lambda v: {"albedo": 1.0 / pi},
         )
-
-    def __post_init__(self) -> None:
-        store(self, albedo=number("albedo", self.albedo, 0.0, 1.0))
 
     @property
     def convention(self) -> str:
@@ -66,25 +56,15 @@ class DiffuseTransmitter(Model):
     """A perfect diffuser on both sides: brdf = reflectance / pi, btdf = transmittance / pi [1/sr].
 
     Thin (light leaves where it fell), without regular transmission, and alike from every direction.
-
-    Parameters
-    ----------
-    reflectance, transmittance
-        Shares of the incident light, each in [0, 1]; together at most 1.
-
-    Raises
-    ------
-    ArgumentError
-        One is outside its range, or both together exceed 1.
+    The two shares are together at most 1.
     """
 
-    reflectance: float = 0.5
-    transmittance: float = 0.4
+    reflectance: float = parameter(0.5, "[0, 1]", "Share of the incident light that comes back.")
+    transmittance: float = parameter(0.4, "[0, 1]", "Share of the incident light that goes through.")
     name: ClassVar[str] = "diffuse-transmitter"
 
-    def __post_init__(self) -> None:
-        for field in ("reflectance", "transmittance"):
-            store(self, **{field: number(field, getattr(self, field), 0.0, 1.0)})
+    def __post_init__(self, *_: Any) -> None:
+        super().__post_init__()
         if self.reflectance + self.transmittance > 1.0 + 1e-12:  # rounding of a sum of decimals
             both = self.reflectance + self.transmittance
             raise ArgumentError(f"reflectance + transmittance = {both:g}: together they are at most 1")

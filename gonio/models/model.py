@@ -13,10 +13,11 @@ from gonio.errors import ArgumentError, did_you_mean
 from gonio.geometry import Directions
 from gonio.models import engine, hemispherical
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
-from gonio.models.parameters import Declaration, Fitted, Ior, Parameters, checked_wavelength, plain
+from gonio.models.parameters import Declaration, Fitted, Ior, Parameter, Parameters, checked_wavelength, plain
 from gonio.typing import ArrayLike, Floats, NDArray
 
 Vector = tuple[float, float, float]
+OUT_OF_RANGE = "ArgumentError\n    A parameter is outside its range; the message names it."
 
 
 def _checked_behind(*angles: ArrayLike) -> tuple[Any, ...]:
@@ -41,8 +42,13 @@ class Model(ABC):
 
     name: ClassVar[str]
     """The model's name on the command line and in sample files."""
+    table: ClassVar[Mapping[str, Parameter]] = {}
+    """The fields that are a `parameter` each, and what was said of them."""
+    besides: ClassVar[Mapping[str, Parameter]] = {}
+    """Arguments of the constructor that are no fields."""
     fitted: ClassVar[Mapping[str, Fitted]] = {}
-    """What a fit may move of the constructor's arguments, and within which bounds; unless `declaration` says more."""
+    """What a fit may move of the constructor's arguments, and within which bounds; unless `declaration` says more. By
+    itself what the table says of it."""
     needs_wavelength: ClassVar[bool] = False
     """Of such a model: whether its value depends on the wavelength, so that a broad band cannot be fitted."""
     rank: ClassVar[int] = 100
@@ -62,6 +68,28 @@ class Model(ABC):
     """What its derivation asks of the surface and none of its parameters tells, after "holds for"; "" for nothing."""
     grain: ClassVar[int] = SPLIT
     """How many evaluations are worth a thread of their own."""
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        """Read the table of a class that has one; its docstring and what is fitted follow."""
+        super().__init_subclass__(**more)
+        found = {n: f.metadata.get("parameter") for n, f in vars(cls).items() if isinstance(f, dataclasses.Field)}
+        own = {name: row for name, row in found.items() if row is not None}
+        if not own and "table" not in vars(cls):
+            return
+        cls.table = {**cls.table, **own}
+        if "fitted" not in vars(cls):
+            cls.fitted = {name: row.fitted for name, row in cls.table.items() if row.fitted is not None}
+        doc = inspect.cleandoc(cls.__doc__ or "")
+        if "\nParameters\n" not in doc:
+            told = "\n".join(f"{name}\n    {row.told}" for name, row in {**cls.table, **cls.besides}.items())
+            cls.__doc__ = f"{doc}\n\nParameters\n----------\n{told}\n\nRaises\n------\n{OUT_OF_RANGE}\n"
+
+    def __post_init__(self, *_: Any) -> None:
+        """Check what the table says, and store it as checked."""
+        for name, row in self.table.items():
+            value = getattr(self, name)
+            if (value is not None or row.default is not None) and (checked := row.checked(name, value)) is not value:
+                object.__setattr__(self, name, checked)
 
     @property
     def parameters(self) -> Parameters:

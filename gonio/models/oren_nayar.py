@@ -1,12 +1,10 @@
 """Oren and Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994: V-grooves of Lambertian facets."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import product
 from math import pi, sqrt
-from typing import ClassVar
-
-import numpy as np
+from typing import Any, ClassVar
 
 from gonio.errors import ArgumentError
 from gonio.models import hemispherical
@@ -14,8 +12,8 @@ from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_constants, gaussian_grooves, isotropic_grooves, parallel_grooves
 from gonio.models._math import atan_over_near
 from gonio.models.engine import SPLIT, Constants, Kernel
-from gonio.models.model import Model, store
-from gonio.models.parameters import ALBEDO, Declaration, Fitted, Ior, choice, number, plain
+from gonio.models.model import Model
+from gonio.models.parameters import ALBEDO, Declaration, Ior, flag, parameter, plain
 from gonio.typing import Floats
 
 FORMS = ("functional", "exact", "qualitative", "single-slope")
@@ -119,7 +117,7 @@ def qualitative(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
 _KERNELS: dict[str, Kernel] = {"functional": functional, "qualitative": qualitative, "exact": gaussian_grooves}
 
 
-@dataclass(frozen=True, init=False, repr=False)
+@dataclass(frozen=True, repr=False)
 class OrenNayar(Model):
     """Lambertian facets in V-grooves, with shadowing, masking and light that goes twice.
 
@@ -131,35 +129,33 @@ class OrenNayar(Model):
     The functional form is the paper's, and negative near forward grazing for sigma above about 42 degrees. Where both
     directions are exactly grazing the limit along equal polar angles is returned; it is infinite except in the
     forward direction.
-
-    Parameters
-    ----------
-    albedo
-        Albedo of the facets, in [0, 1].
-    sigma_deg
-        Standard deviation of the facets' angles [degrees], in [0, 90); not used by "single-slope".
-    form
-        "functional", "exact", "qualitative" or "single-slope".
-    slope_deg
-        Angle between the facets and the surface [degrees], in [0, 90): "single-slope" only, and required there.
-    groove_azimuth_deg
-        Azimuth of the facets' normals, across the grooves [degrees] (the paper's phi_a); None for grooves in every
-        direction.
-    interreflections
-        Whether light that goes twice counts.
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range, or does not belong to the form; the message names it.
     """
 
-    albedo: float
-    sigma_deg: float
-    form: str
-    slope_deg: float | None
-    groove_azimuth_deg: float | None
-    interreflections: bool
+    albedo: float = parameter(0.9, "[0, 1]", "Albedo of the facets.", scale="linear", bounds=ALBEDO)
+    sigma_deg: float = parameter(
+        30.0,
+        "[0, 90)",
+        'Standard deviation of the facets\' angles; not used by "single-slope".',
+        "deg",
+        scale="linear",
+        bounds=(0.0, 60.0),
+        geometry=True,
+    )
+    form: str = parameter("functional", FORMS, "Which of the paper's forms.")
+    _: KW_ONLY
+    slope_deg: float | None = parameter(
+        None,
+        "[0, 89.9999]",
+        'Angle between the facets and the surface: "single-slope" only, and required there.',
+        "deg",
+    )
+    groove_azimuth_deg: float | None = parameter(
+        None,
+        "[-1e6, 1e6]",
+        "Azimuth of the facets' normals, across the grooves (the paper's phi_a); None for grooves in every direction.",
+        "deg",
+    )
+    interreflections: bool = parameter(True, flag, "Whether light that goes twice counts.")
     name: ClassVar[str] = "oren-nayar"
     rank: ClassVar[int] = 2
     assumes: ClassVar[str] = "facets that are large against the wavelength (Oren and Nayar 1994, sec. 2)"
@@ -167,45 +163,22 @@ class OrenNayar(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
         return replace(
-            plain(cls.name, {"albedo": ALBEDO, "sigma_deg": Fitted(0.0, 60.0, unit="deg", geometry=True)}),
+            plain(cls.name, cls.fitted),
             starts=lambda levels: [
-                {"albedo": ALBEDO.inside(scale * levels.median), "sigma_deg": sigma}
+                {"albedo": cls.fitted["albedo"].inside(scale * levels.median), "sigma_deg": sigma}
                 for scale, sigma in product((0.5, 1.0, 1.3), (5.0, 25.0, 45.0))
             ],
             base_starts=lambda albedo: [{"albedo": albedo, "sigma_deg": 20.0}],
         )
 
-    def __init__(
-        self,
-        albedo: float = 0.9,
-        sigma_deg: float = 30.0,
-        form: str = "functional",
-        *,
-        slope_deg: float | None = None,
-        groove_azimuth_deg: float | None = None,
-        interreflections: bool = True,
-    ) -> None:
-        form = choice("form", form, FORMS)
-        for key, value in (("slope_deg", slope_deg), ("groove_azimuth_deg", groove_azimuth_deg)):
-            if value is not None and form != "single-slope":
-                raise ArgumentError(f'{key} belongs to form="single-slope", not to "{form}"')
-        if form == "single-slope" and slope_deg is None:
+    def __post_init__(self, *_: Any) -> None:
+        super().__post_init__()
+        for key in ("slope_deg", "groove_azimuth_deg"):
+            if getattr(self, key) is not None and self.form != "single-slope":
+                raise ArgumentError(f'{key} belongs to form="single-slope", not to "{self.form}"')
+        if self.form == "single-slope" and self.slope_deg is None:
             raise ArgumentError('form="single-slope" needs slope_deg')
-        if not isinstance(interreflections, (bool, np.bool_)):
-            raise ArgumentError(f"interreflections = {interreflections!r}: must be true or false")
-        store(
-            self,
-            albedo=number("albedo", albedo, 0.0, 1.0),
-            sigma_deg=number("sigma_deg", sigma_deg, 0.0, math.nextafter(90.0, 0.0), unit="deg"),
-            form=form,
-            slope_deg=None if slope_deg is None else number("slope_deg", slope_deg, 0.0, 89.9999, unit="deg"),
-            groove_azimuth_deg=None
-            if groove_azimuth_deg is None
-            else number("groove_azimuth_deg", groove_azimuth_deg, -1e6, 1e6, unit="deg"),
-            interreflections=bool(interreflections),
-        )
 
     @property
     def convention(self) -> str:

@@ -1,7 +1,9 @@
 """Models' parameters: numbers in their ranges, names among a few, indices of refraction; and what a fit may move.
 
-`Model.declaration` says that. A class that says no more than `fitted` gets the plain one (`plain`); ours say more where
-parameters hang together: optical constants that are known, shares that add up to 1, starts on a coarse grid.
+The table of a model's file is its fields: each is a `parameter` with its default, allowed range, text, unit and search.
+The constructor's checks, bounds of fits, docstrings, reports and docs/models_and_parameters.md come from it.
+`Model.declaration` says what a fit may move. A class that says no more gets the plain one (`plain`); ours say more
+where parameters hang together: optical constants that are known, shares that add up to 1, starts on a coarse grid.
 """
 
 import cmath
@@ -10,7 +12,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any, Literal, TypeAlias, cast
 
@@ -66,8 +68,12 @@ class Fitted:
                 raise ArgumentError(f"{value:g} is not between the bounds {self.lower:g} and {self.upper:g}")
 
 
-def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "") -> float:
-    """A real parameter in [low, high]; raises `ArgumentError` naming it otherwise."""
+def number(
+    name: str, value: Any, low: float = -math.inf, high: float = math.inf, unit: str = "", allowed: str = ""
+) -> float:
+    """A real parameter in [low, high], a range that `allowed` may word; raises `ArgumentError` naming it otherwise."""
+    if type(value) is float and low <= value <= high and math.isfinite(value):  # as most: fits make very many models
+        return value
     refuse_masked(name, value)
     if type(value) is not float and (
         isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
@@ -83,7 +89,7 @@ def number(name: str, value: Any, low: float = -math.inf, high: float = math.inf
     except OverflowError:  # a whole number of hundreds of digits
         result = math.copysign(math.inf, value)
     if not low <= result <= high or math.isinf(result):
-        allowed = f"at least {low:g}" if math.isinf(high) else f"in [{low:g}, {high:g}]"
+        allowed = allowed or (f"at least {low:g}" if math.isinf(high) else f"in [{low:g}, {high:g}]")
         raise ArgumentError(
             f"{name} = {result:g}{unit and ' ' + unit}: must be "
             f"{'finite' if math.isinf(low) and math.isinf(high) else 'finite and ' + allowed}"
@@ -96,20 +102,19 @@ def checked_wavelength(value: Any) -> float:
     return number("wavelength_nm", value, 1e-6, 1e12, unit="nm")
 
 
-def positive(name: str, value: Any, unit: str = "") -> float:
-    """A real parameter above zero; raises `ArgumentError` naming it otherwise."""
-    result = number(name, value, unit=unit)
-    if result <= 0.0:
-        raise ArgumentError(f"{name} = {result:g}{unit and ' ' + unit}: must be above 0")
-    return result
-
-
 def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
     """One of a few names; raises `ArgumentError` with the nearest of them otherwise."""
     if isinstance(value, str) and value in allowed:
         return str(value)
     listed, hint = ", ".join(f'"{option}"' for option in allowed), did_you_mean(str(value), allowed)
     raise ArgumentError(f"{name} = {value!r}: must be one of {listed}" + (hint and f"; {hint}"))
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False; raises `ArgumentError` otherwise."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ArgumentError(f"{name} = {value!r}: must be true or false")
+    return bool(value)
 
 
 @functools.lru_cache(maxsize=64)
@@ -166,8 +171,94 @@ def indices_at(ior: Any, wavelength_nm: Floats) -> NDArray[np.complex128]:
     return np.broadcast_to(np.asarray(index(wavelength_nm) if callable(index) else index), wavelength_nm.shape)
 
 
-# --- what parameters are, in words ------------------------------------------------------------------------------------
+# --- the table of a model's file ----------------------------------------------------------------------------------
 
+
+@dataclass(frozen=True)
+class Parameter:
+    """A row of the table (`row`)."""
+
+    default: Any
+    text: str
+    unit: str
+    range: str
+    """What the constructor takes, in words; "" for what only `text` can say."""
+    checked: Callable[[str, Any], Any]
+    """(name, value) -> the value as the model holds it; raises `ArgumentError` naming it."""
+    fitted: Fitted | None
+    """What a fit may do with it; None: nothing."""
+
+    @property
+    def told(self) -> str:
+        """Text, range and unit as sentences."""
+        return f"{self.text} {self.range[:1].upper()}{self.range[1:]}." if self.range else self.text
+
+
+def row(
+    default: Any,
+    allowed: str | tuple[str, ...] | Callable[[str, Any], Any],
+    text: str,
+    unit: str = "",
+    *,
+    scale: Literal["linear", "log"] | None = None,
+    bounds: tuple[float, float] | None = None,
+    starts: tuple[float, ...] | Literal["diffuse", "peak"] = (),
+    geometry: bool = False,
+) -> Parameter:
+    """All that is said anywhere of one argument of a model's constructor.
+
+    Parameters
+    ----------
+    default
+        As of any field. Where it is None, None is taken too. `MISSING` where an `__init__` of the class's own has it.
+    allowed
+        Of a number its range, as "[0, 1]", "(0, inf)" or "[0, 90)"; of a word those that there are; else
+        what checks it: (name, value) -> value.
+    text
+        What it is, in sentences; without range and unit.
+    unit
+        Of a number.
+    scale
+        On which a fit's search moves it, as in `Fitted`; None: a fit leaves it alone.
+    bounds
+        Of a fit, where they are narrower than the range.
+    starts, geometry
+        As in `Fitted`.
+    """
+    if not isinstance(allowed, str):
+        words = "one of " + ", ".join(f'"{one}"' for one in allowed) if isinstance(allowed, tuple) else ""
+        check = functools.partial(choice, allowed=allowed) if isinstance(allowed, tuple) else allowed
+        return Parameter(default, text, unit, words, check, None)
+    low, high = (float(end) for end in allowed[1:-1].split(","))
+    words = f"in {allowed}" if math.isfinite(high) else f"{'above' if allowed[0] == '(' else 'at least'} {low:g}"
+    least = math.nextafter(low, high) if allowed[0] == "(" else low
+    most = math.nextafter(high, low) if allowed[-1] == ")" and math.isfinite(high) else high
+    checked = functools.partial(number, low=least, high=most, unit=unit, allowed=words)
+    fitted = scale and Fitted(*(bounds or (least, most)), scale, unit, starts, geometry=geometry)
+    return Parameter(default, text, unit, f"{words} {unit}".strip(), checked, fitted or None)
+
+
+def parameter(default: Any, *of: Any, **search: Any) -> Any:
+    """A field of a model's class with its row of the table; arguments as `row`.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> from gonio.models import ArrayModel, parameter
+    >>> @dataclass(frozen=True)
+    ... class Own(ArrayModel):
+    ...     level: float = parameter(0.1, "[0, 1]", "How bright it is.", scale="linear", starts="diffuse")
+    >>> Own.fitted["level"].upper
+    1.0
+    """
+    return field(default=default, metadata={"parameter": row(default, *of, **search)})
+
+
+INDEX = (
+    lambda name, value: checked_index(value),  # a model has one, and it is `ior`
+    "Index n + ik: a complex number, [n, k], a material's name, or a function of wavelength_nm.",
+)
+"""What is allowed of an `Index`, and its text."""
 FURTHER = {
     "k": "Imaginary part of the index n + ik: absorption.",
     "weight": "Weight of the glossy model in the sum.",
@@ -213,8 +304,8 @@ Arguments: TypeAlias = "dict[str, float | complex | str | tuple[tuple[float, flo
 Ior = complex | str | None
 """A constant n + ik, the name of a material, or None: not given."""
 
-ALBEDO = Fitted(1e-6, 1.0)
-DIFFUSE = Fitted(0.0, 1.0)
+ALBEDO = (1e-6, 1.0)
+"""Bounds of a fit of an albedo: at 0 no other parameter would count."""
 OPTICAL = {"ior": Fitted(1.001, 200.0, "log"), "k": Fitted(0.0, 100.0)}
 METALLIC_N = Fitted(0.02, 200.0, "log")
 """n where k is fitted too: good conductors have n < 1, which without absorption means total reflection."""

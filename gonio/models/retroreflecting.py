@@ -14,8 +14,8 @@ from gonio.models._compile import device, of_columns
 from gonio.models._loops import HALF_PI
 from gonio.models._math import _LOG2_E, exp2, log
 from gonio.models.engine import Constants, Kernel
-from gonio.models.model import Model, store
-from gonio.models.parameters import DIFFUSE, Declaration, Fitted, Ior, Levels, Values, number, plain
+from gonio.models.model import Model
+from gonio.models.parameters import Declaration, Ior, Levels, Values, parameter, plain
 from gonio.typing import Floats
 
 GRAZING = 1e-150
@@ -50,33 +50,34 @@ class Retroreflecting(Model):
     two directions: (1 + (2 sin(d/2)/w)^2)^-tail, of integral 1 over all directions (the shape of Burley 2012, about the
     light in place of the normal). The denominator is that of Ashikhmin and Premoze 2007: the form is reciprocal, and
     reflects at most `returned` of what it receives.
-
-    Parameters
-    ----------
-    returned
-        The share of the lobe, in [0, 1]: what it sends back at normal incidence, but for what a wide lobe sends below
-        the horizon. 1 - returned is the share of the diffuse base.
-    width_deg
-        w: the observation angle at which D has fallen by the factor 2^tail [deg], in [1e-6, 90].
-    tail
-        How fast D falls beyond the width, in [0.5, 100]: as d^(-2 tail).
-    entrance
-        How the lobe loses with the entrance angle, in [0, 20]: seen straight back, by cos^(2 entrance). At 0 the value
-        at the peak goes as 1/(cos (2 - cos)), and R_A = f cos^2 as cos/(2 - cos).
-    diffuse_albedo
-        The diffuse base's reflectance, in [0, 1].
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is out of range; the message names it.
     """
 
-    returned: float = 0.3
-    width_deg: float = 1.0
-    tail: float = 1.5
-    entrance: float = 0.0
-    diffuse_albedo: float = 0.0
+    returned: float = parameter(
+        0.3,
+        "[0, 1]",
+        "The share of the lobe: what it sends back at normal incidence, but for what a wide lobe sends below the"
+        " horizon. 1 - returned is the share of the diffuse base.",
+        scale="linear",
+    )
+    width_deg: float = parameter(
+        1.0,
+        "[1e-6, 90]",
+        "w: the observation angle at which D has fallen by the factor 2^tail.",
+        "deg",
+        scale="log",
+        bounds=(0.01, 60.0),
+    )
+    tail: float = parameter(
+        1.5, "[0.5, 100]", "How fast D falls beyond the width: as d^(-2 tail).", scale="log", bounds=(0.5, 30.0)
+    )
+    entrance: float = parameter(
+        0.0,
+        "[0, 20]",
+        "How the lobe loses with the entrance angle: seen straight back, by cos^(2 entrance). At 0 the value at the"
+        " peak goes as 1/(cos (2 - cos)), and R_A = f cos^2 as cos/(2 - cos).",
+        scale="linear",
+    )
+    diffuse_albedo: float = parameter(0.0, "[0, 1]", "The diffuse base's reflectance.", scale="linear")
     name: ClassVar[str] = "retroreflecting"
     rank: ClassVar[int] = 8
     in_sums: ClassVar[str] = "base gloss"
@@ -84,25 +85,19 @@ class Retroreflecting(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
-        """See `Model.declaration`."""
-        rows = {
-            "returned": Fitted(0.0, 1.0),
-            "width_deg": Fitted(0.01, 60.0, "log", "deg"),
-            "tail": Fitted(0.5, 30.0, "log"),
-            "entrance": Fitted(0.0, 20.0),
-            "diffuse_albedo": DIFFUSE,
-        }
 
         def starts(levels: Levels) -> list[Values]:
             grid = product((0.01, 0.1, 0.5), (0.2, 1.0, 4.0, 15.0), (1.0, 2.0), (0.0, 1.0))
-            return [dict(zip(rows, (s, *rest, min(levels.diffuse / (1 - s), 1.0)), strict=True)) for s, *rest in grid]
+            return [
+                dict(zip(cls.fitted, (s, *rest, min(levels.diffuse / (1 - s), 1.0)), strict=True)) for s, *rest in grid
+            ]
 
         def base_starts(albedo: float) -> list[Values]:
             lobe = {"returned": 0.1, "tail": 1.2, "entrance": 0.0, "diffuse_albedo": albedo}
             return [{**lobe, "width_deg": width} for width in (0.5, 2.0, 8.0)]
 
         return replace(
-            plain(cls.name, rows),
+            plain(cls.name, cls.fitted),
             starts=starts,
             flat=lambda v: {"diffuse_albedo": (1.0 - v["returned"]) / math.pi},
             base_starts=base_starts,
@@ -110,22 +105,11 @@ class Retroreflecting(Model):
 
     @classmethod
     def undetermined_by(cls, directions: Directions) -> str:
-        """See `Model.undetermined_by`."""
         omega_i, omega_r = directions.vectors
         squares = np.sum((omega_i - omega_r) ** 2, axis=-1)
         if np.any(squares < (2.0 * math.sin(math.radians(NEAR_RETRO_DEG) / 2.0)) ** 2):
             return ""
         return f"no value lies within {NEAR_RETRO_DEG:g} degrees of the direction of incidence"
-
-    def __post_init__(self) -> None:
-        store(
-            self,
-            returned=number("returned", self.returned, 0.0, 1.0),
-            width_deg=number("width_deg", self.width_deg, 1e-6, 90.0, unit="deg"),
-            tail=number("tail", self.tail, 0.5, 100.0),
-            entrance=number("entrance", self.entrance, 0.0, 20.0),
-            diffuse_albedo=number("diffuse_albedo", self.diffuse_albedo, 0.0, 1.0),
-        )
 
     @property
     def convention(self) -> str:

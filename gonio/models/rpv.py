@@ -1,15 +1,13 @@
 """Rahman, Pinty and Verstraete's form of land surfaces [Rahman1993]."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from gonio.models.arrays import ArrayModel
-from gonio.models.model import store
-from gonio.models.parameters import Fitted, number
+from gonio.models.parameters import parameter
 from gonio.typing import Floats
 
 GRAZING = 1e-12
@@ -22,40 +20,22 @@ class RPV(ArrayModel):
     M = (mu_0 mu (mu_0 + mu))^(k - 1); F = (1 - q^2)/(1 + q^2 + 2 q cos g)^(3/2) with q = theta_g, g the angle between
     source and detector; 1 + R = 1 + (1 - rho_0)/(1 + G), G^2 = tan^2 + tan^2 - 2 tan tan cos(dphi). Reciprocal, not
     normalised, not bound in energy: infinite at grazing for k < 1.
-
-    Parameters
-    ----------
-    rho_0
-        Level, in [0, 1]. No albedo.
-    theta_g
-        Asymmetry of the lobe, in (-1, 1); below 0 light goes back.
-    k
-        Bowl (below 1) or bell (above), in [0, 3].
-
-    Raises
-    ------
-    ArgumentError
-        A parameter is outside its range; the message names it.
     """
 
-    rho_0: float = 0.1
-    theta_g: float = -0.1
-    k: float = 0.8
+    rho_0: float = parameter(
+        0.1, "[0, 1]", "Level. No albedo.", scale="log", bounds=(1e-4, 1.0), starts=(0.02, 0.1, 0.4)
+    )
+    theta_g: float = parameter(
+        -0.1,
+        "[-0.9999, 0.9999]",
+        "Asymmetry of the lobe; below 0 light goes back.",
+        scale="linear",
+        bounds=(-0.95, 0.95),
+        starts=(-0.3, 0.0, 0.3),
+    )
+    k: float = parameter(0.8, "[0, 3]", "Bowl (below 1) or bell (above).", scale="linear", starts=(0.6, 0.9, 1.2))
     name: ClassVar[str] = "rpv"
     rank: ClassVar[int] = 16
-    fitted: ClassVar[Mapping[str, Fitted]] = {
-        "rho_0": Fitted(1e-4, 1.0, "log", starts=(0.02, 0.1, 0.4)),
-        "theta_g": Fitted(-0.95, 0.95, starts=(-0.3, 0.0, 0.3)),
-        "k": Fitted(0.0, 3.0, starts=(0.6, 0.9, 1.2)),
-    }
-
-    def __post_init__(self) -> None:
-        store(
-            self,
-            rho_0=number("rho_0", self.rho_0, 0.0, 1.0),
-            theta_g=number("theta_g", self.theta_g, -0.9999, 0.9999),
-            k=number("k", self.k, 0.0, 3.0),
-        )
 
     @property
     def convention(self) -> str:

@@ -4,6 +4,7 @@ Nothing heavy is imported before a command runs: `gonio --help` has to answer at
 options are read stands in `gonio_analysis.commands.implementations`.
 """
 
+import contextlib
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,7 @@ from typing import Annotated
 import typer
 
 from gonio.cli.options import Columns, reading, remember
+from gonio.errors import ConfigError
 from gonio_analysis.commands.arguments import names_of, once, read_bound, read_fixed, read_prior, read_radius
 
 MODELS = "lambert,oren-nayar,cook-torrance,he-torrance"
@@ -86,8 +88,30 @@ Shared = Annotated[
 Residual = Annotated[bool, typer.Option("--residual", help="Save the model with a smooth curve of its misfit.")]
 
 
+def _with_parameters(ctx: typer.Context, model: str) -> str:
+    """Let `gonio fit --model NAME --help` end with the model's parameters."""
+    from gonio_analysis.fitting import parameters
+
+    with contextlib.suppress(ConfigError):  # the command says it
+        rows = [row for part in parameters.parts(model) for row in parameters.told(parameters.kind(part))]
+        said = []
+        for name, unit, default, allowed, bounds, text in rows:
+            facts = {"": f"{allowed} {unit}", "default": default, "bounds of a fit": bounds}
+            words = "; ".join(f"{label} {fact}".strip() for label, fact in facts.items() if fact.strip())
+            said.append(f"{name}: {text} [{words}]")
+        ctx.command.epilog = "\n\n".join([f"Parameters of {model}:", *said])
+    return model
+
+
 def fit(
-    model: Annotated[str, typer.Option(help="Which model: he-torrance, cook-torrance, ...")],
+    model: Annotated[
+        str,
+        typer.Option(
+            help="Which model: he-torrance, cook-torrance, ... Before --help: its parameters are told.",
+            is_eager=True,
+            callback=_with_parameters,
+        ),
+    ],
     table: Annotated[str | None, typer.Argument(metavar="TABLE", help="A table, a run, FILE:SAMPLE, or a map.")] = None,
     more: More = None,
     ior: IorOption = None,

@@ -1,5 +1,6 @@
 """Models by name, as fits see them: what their classes declare (`gonio.models.parameters`), and sums of two."""
 
+import inspect
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -11,7 +12,7 @@ from gonio import plugins
 from gonio.errors import ConfigError, did_you_mean
 from gonio.models import Sum
 from gonio.models.model import Model, build_model
-from gonio.models.parameters import ALBEDO, Arguments, Declaration, Fitted, Ior, Levels, Values
+from gonio.models.parameters import ALBEDO, Arguments, Declaration, Fitted, Ior, Levels, Values, described
 from gonio_analysis.fitting.observations import Observations
 
 INDICES = ((1.5, 0.3), (0.3, 3.0), (1.0, 7.0), (3.0, 3.5))
@@ -70,6 +71,23 @@ def family(name: str, *, slopes: int = 1, ior: Ior = None) -> Declaration:
     if slopes not in (1, 2):
         raise ConfigError(f"--slopes {slopes}: 1 or 2 slopes can be fitted")
     return _sum(name, ior) if "+" in name else kind(name).declaration(ior, slopes)
+
+
+def told(of: type[Model]) -> list[tuple[str, str, str, str, str, str]]:
+    """Of each parameter of a model's class: name, unit, default, what is allowed, bounds of a fit, and what it is."""
+    table, defaults, texts = {**of.table, **of.besides}, inspect.signature(of).parameters, described(of)
+    fitted: Mapping[str, Fitted] = {}
+    with suppress(ConfigError):  # nothing of it is fitted
+        fitted = of.declaration().parameters
+    rows = []
+    for name in dict.fromkeys([*defaults, *fitted]):
+        row, search = table.get(name), fitted.get(name)
+        given = defaults[name].default if name in defaults else None
+        default = "" if given in (None, inspect.Parameter.empty) else str(given)
+        bounds = "" if search is None else f"{search.lower:g} to {search.upper:g}"
+        unit, allowed, text = (row.unit, row.range, row.text) if row else ("", "", texts.get(name, ""))
+        rows.append((name, unit, default, allowed.removesuffix(f" {unit}"), bounds, text.replace("`", "")))
+    return rows
 
 
 def parts(name: str) -> tuple[str, ...]:
@@ -142,7 +160,7 @@ def _sum(name: str, ior: Ior) -> Declaration:
         return {terms[0]: {"weight": 1.0, **base.arguments(v)}, terms[1]: {"weight": v.get("weight", 1.0), **shine}}
 
     def starts(levels: Levels) -> list[Values]:
-        bases = base.base_starts(ALBEDO.inside(levels.diffuse))
+        bases = base.base_starts(min(max(levels.diffuse, ALBEDO[0]), ALBEDO[1]))
         shapes: dict[tuple[tuple[str, float], ...], None] = {}
         for values in gloss.starts(levels):
             shapes[tuple((n, x) for n, x in values.items() if n not in own)] = None
