@@ -131,6 +131,13 @@ def ior(name: str) -> Material:
         There is no such material or source (with the nearest).
     ConfigError
         The database is not installed.
+
+    Examples
+    --------
+    >>> from gonio import materials
+    >>> aluminium = materials.ior("Al")
+    >>> print(f"{aluminium(550.0):.2f}")
+    1.02+6.63j
     """
     material, _, page = name.partition("/")
     if material not in _MATERIALS:

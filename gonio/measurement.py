@@ -94,6 +94,13 @@ def read(
     DataError
         The file is empty, damaged or in no known format; a value is not allowed (with file, line and column); it holds
         no such sample.
+
+    Examples
+    --------
+    >>> import gonio
+    >>> table = gonio.read("clay.csv")
+    >>> len(table), round(float(table["brdf"].max()), 3)
+    (16, 0.175)
     """
     path = Path(path)
     if path.is_dir():
@@ -214,6 +221,15 @@ def write(frame: DataFrame, path: str | Path, *, format: str | None = None) -> l
         The table is not valid (with row and column), or the format cannot hold it at all.
     ConfigError
         The file cannot be written, or the format is unknown or only read.
+
+    Examples
+    --------
+    >>> import gonio
+    >>> table = gonio.read("clay.csv")
+    >>> gonio.write(table[table["theta_r_deg"] < 60], "steep.csv")
+    []
+    >>> len(gonio.read("steep.csv"))
+    12
     """
     path = Path(path)
     chosen = written_as(path, format)

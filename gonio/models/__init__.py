@@ -84,6 +84,12 @@ def build(name: str, parameters: Mapping[str, Any]) -> Model:
         There is no such model (with the nearest name).
     ArgumentError
         A parameter is unknown (with the nearest name) or outside its range.
+
+    Examples
+    --------
+    >>> from gonio.models import build
+    >>> build("he-torrance", {"sigma0_um": 0.2, "tau_um": 2.0, "ior": "Al"}).name
+    'he-torrance'
     """
     from gonio import plugins
 

@@ -92,6 +92,12 @@ def examine(model: Model, wavelength_nm: float = 550.0) -> Examination:
         Any model.
     wavelength_nm
         Wavelength [nm].
+
+    Examples
+    --------
+    >>> from gonio.models import Lambert, examine
+    >>> print(examine(Lambert(0.5)))  # doctest: +ELLIPSIS
+    lambert: reciprocal; reflects at most 0.5 of what it receives (at ... deg)
     """
     rng = np.random.default_rng(1)
     theta = np.arccos(rng.uniform(0.0, 1.0, (2, DRAWN)))

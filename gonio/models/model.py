@@ -163,6 +163,12 @@ class Model(ABC):
         ------
         ArgumentError
             An angle is outside its range or not a number.
+
+        Examples
+        --------
+        >>> from gonio.models import DiffuseTransmitter
+        >>> print(round(float(DiffuseTransmitter(0.4, 0.5).btdf(0.0, 0.0, 3.0, 0.0)), 4))
+        0.1592
         """
         incident, _, behind, _, shape = _checked_behind(theta_i, phi_i, theta_r, phi_r)
         checked_wavelength(wavelength_nm)
@@ -232,6 +238,14 @@ class Model(ABC):
         ArgumentError
             An angle is NaN or out of range, an argument is not real, or the shapes do not broadcast; it names the
             argument.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from gonio.models import Blinn
+        >>> theta_r = np.radians([0.0, 30.0, 60.0])
+        >>> Blinn(k_d=0.3, k_s=0.1, ior=1.5, c=0.3).brdf(np.radians(30.0), 0.0, theta_r, np.pi).round(4)
+        array([0.096 , 0.0973, 0.0968])
         """
         if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
             kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
@@ -413,6 +427,14 @@ class Model(ABC):
             An angle is NaN or out of range; it names the argument.
         DataError
             The integral does not converge.
+
+        Examples
+        --------
+        >>> from gonio.models import HeTorrance
+        >>> smooth = HeTorrance(sigma0_um=0.05, tau_um=2.0, ior="Al")
+        >>> spike = smooth.specular_reflectivity(0.0)
+        >>> print(f"{smooth.directional_hemispherical(0.0):.3f}, of it {spike:.3f} in the spike")
+        0.915, of it 0.248 in the spike
         """
         return engine.delivered(
             None,

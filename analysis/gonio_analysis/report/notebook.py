@@ -58,6 +58,13 @@ def fit(table: Table, model: str | type[Model] | Model, *, name: str | None = No
         Unknown model, parameter or option, or a file of several samples.
     DataError
         Too few usable values.
+
+    Examples
+    --------
+    >>> from gonio_analysis import fit
+    >>> found = fit("clay.csv", "oren-nayar")
+    >>> print(f"{found.parameters['sigma_deg'].value:.2f} deg")
+    20.00 deg
     """
     frame, called = _table(table, name)
     return shown_fit(fit_table(frame, FitRequest(_model_name(model), **options), name=called)[0])
@@ -97,6 +104,13 @@ def compare(
     ------
     ConfigError, DataError
         As `fit`.
+
+    Examples
+    --------
+    >>> from gonio_analysis import compare
+    >>> found = compare("clay.csv", ["lambert", "oren-nayar"])
+    >>> found.choice.named.candidate.label
+    'oren-nayar'
     """
     frame, called = _table(table, name)
     names = [_model_name(m) for m in ([models] if isinstance(models, str | type) else models)]
@@ -117,6 +131,14 @@ def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = 
     ------
     ConfigError, DataError
         As `gonio_analysis.changes.point_by_point.change`.
+
+    Examples
+    --------
+    >>> from gonio import OrenNayar
+    >>> from gonio_analysis import change
+    >>> later = change("clay.csv", OrenNayar(albedo=0.54, sigma_deg=20.0))
+    >>> print(f"{(later.difference / later.value_a).mean():.2f}")
+    -0.11
     """
     return point_by_point.change(_side(a, "A"), _side(b, "B"), wavelength_nm=wavelength_nm)
 
@@ -154,6 +176,15 @@ def polar(
         A file of several samples.
     DataError
         No usable value, or no curve in the plane of incidence.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> from gonio_analysis import fit, polar
+    >>> figure, ax = plt.subplots()
+    >>> drawn = polar(ax, "clay.csv", fit("clay.csv", "lambert"))
+    >>> figure.savefig("clay.svg")
+    >>> plt.close(figure)
     """
     if model is None and normalise == "model":
         raise ArgumentError('normalise = "model": no model is given')
@@ -163,7 +194,18 @@ def polar(
 def semilog(
     ax: Any, table: Table, model: Model | FitResult | None = None, *, wavelength_nm: float | None = None
 ) -> list[Any]:
-    """The same curves absolute, on a logarithmic axis; arguments, result and errors as `polar`."""
+    """The same curves absolute, on a logarithmic axis; arguments, result and errors as `polar`.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> from gonio_analysis import semilog
+    >>> figure, ax = plt.subplots()
+    >>> drawn = semilog(ax, "clay.csv")
+    >>> ax.get_yscale()
+    'log'
+    >>> plt.close(figure)
+    """
     return on_logarithm(ax, _drawn(table, model, wavelength_nm, "mirror"))
 
 
