@@ -1,4 +1,4 @@
-"""docs/models_and_parameters.md has every model, and says of its parameters what the code says."""
+"""docs/reference/models_and_parameters.md has every model, and says of its parameters what the code says."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ from tests.places import ROOT
 from tests.test_site import tool
 
 TOOL = tool("models_page")
-PAGE = (ROOT / "docs" / "models_and_parameters.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "models_and_parameters.md").read_text(encoding="utf-8")
 SAMPLES = TOOL.samples(PAGE)
 
 
@@ -21,7 +21,7 @@ def test_every_model_has_a_section_with_a_sample_and_a_picture() -> None:
     own = {name for name in fits.known() if fits.kind(name).__module__.startswith("gonio.models")}  # not tests' own
     assert own | {"sum", "diffuse-transmitter"} == set(SAMPLES)
     pictures = {path.stem for path in (ROOT / "docs" / "models").iterdir()}
-    assert pictures == set(re.findall(r"\(models/([\w-]+)\.svg\)", PAGE)) == set(SAMPLES)
+    assert pictures == set(re.findall(r"\(\.\./models/([\w-]+)\.svg\)", PAGE)) == set(SAMPLES)
 
 
 @pytest.mark.parametrize("name", SAMPLES)

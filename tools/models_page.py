@@ -1,4 +1,4 @@
-"""Makes the tables and the pictures of docs/models_and_parameters.md from the samples that the page shows.
+"""Makes the tables and the pictures of docs/reference/models_and_parameters.md from the samples that the page shows.
 
     python tools/models_page.py
 
@@ -22,7 +22,7 @@ from gonio.models import DiffuseTransmitter, Model, Sum, build
 from gonio.models.parameters import FURTHER
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGE = DOCS / "models_and_parameters.md"
+PAGE = DOCS / "reference" / "models_and_parameters.md"
 SECTION = re.compile(r"(?ms)^## ([\w-]+)\n(.*?)(?=^## |\Z)")
 SAMPLE = re.compile(r"(?ms)^```toml\n(.*?)^```$")
 TABLE = re.compile(r"(?ms)(^<!-- parameters -->\n).*?(^<!-- end -->$)")

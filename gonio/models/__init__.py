@@ -1,4 +1,4 @@
-"""Reflectance models of the papers: one file a paper, on one compiled kernel layer (docs/models_and_parameters.md)."""
+"""Reflectance models of the papers: one file a paper, on one kernel layer (docs/reference/models_and_parameters.md)."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any

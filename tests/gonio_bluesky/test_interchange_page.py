@@ -12,7 +12,7 @@ from gonio import measurement
 from gonio.config import parse
 from gonio.lab.rig.laboratory import Laboratory
 from tests.command_line import gonio
-from tests.places import ROOT
+from tests.places import ROOT, example
 
 PAGE = (ROOT / "docs" / "interchange.md").read_text(encoding="utf-8")
 PLAN = 'name = "two"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20]\ntheta_r_deg = [0, 30]\n'
@@ -45,7 +45,7 @@ def test_its_python_runs_and_its_run_becomes_documents(here: Path) -> None:
 
 
 def test_its_laboratory_leaves_nothing_to_be_stated(here: Path) -> None:
-    text = block("toml", "[laboratory]")
+    text = example("laboratory.toml")
     assert parse(Laboratory, tomllib.loads(text)["laboratory"], "interchange.md").address.city == "Espoo"
     with (here / "plan.toml").open("a") as plan:
         plan.write(text)
@@ -59,7 +59,7 @@ def test_its_laboratory_leaves_nothing_to_be_stated(here: Path) -> None:
 @pytest.mark.slow
 def test_a_report_has_the_record_beside_it_and_the_laboratory_on_it(here: Path) -> None:
     with (here / "plan.toml").open("a") as plan:
-        plan.write(block("toml", "[laboratory]"))
+        plan.write(example("laboratory.toml"))
     assert (
         gonio(here, "measure", "plan.toml", "--rig", "sim", "--sample", "sample.toml", "--out", "RUN").returncode == 0
     )
@@ -81,4 +81,4 @@ def test_every_key_of_the_laboratory_is_on_the_page() -> None:
                     found |= keys(inner)
         return found
 
-    assert keys(Laboratory) <= set(re.findall(r"\w+", PAGE))
+    assert keys(Laboratory) <= set(re.findall(r"\w+", PAGE + example("laboratory.toml")))
