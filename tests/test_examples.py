@@ -28,7 +28,7 @@ EXAMPLES: list[Callable[..., Any]] = [
     Model.brdf,
     Model.btdf,
     Model.directional_hemispherical,
-    *(getattr(gonio_analysis, name) for name in gonio_analysis.__all__),
+    *(getattr(gonio_analysis, name) for name in ("change", "compare", "consensus", "fit", "polar", "semilog")),
 ]
 
 

@@ -21,7 +21,8 @@ from gonio.lab.commands.opened import Axis, RigOption, choice_of, manual_rig_of,
 if TYPE_CHECKING:
     from gonio.lab.acquisition.measure import RigChoice
     from gonio.lab.by_hand.new_rig import DriverPlugin
-    from gonio.lab.rig import FoundServo, Homed, Rig
+    from gonio.lab.rig import FoundServo, Rig
+    from gonio.lab.rig.protocols import RigService
 
 
 app = typer.Typer(help="List, show and check rigs, and work on them by hand.", no_args_is_help=True)
@@ -251,10 +252,10 @@ def ids(
     """List the servos on a port, at every line speed; or give one another id or speed, for good."""
 
     choice = choice_of(rig)
-    service: Any = _service(choice, "servos")
+    service = _service(choice, "servos")
     where = port or service.ports(choice.description)[0]
     with choice.naming():
-        found: list[FoundServo] = service.servos(where, console.note)
+        found = service.servos(where, console.note)
     table = console.table("id", "baud", "model", "firmware", "", title=where)
     for servo in found:
         remark = "" if servo.alone else "two servos with this id, or damaged answers: connect one at a time"
@@ -268,7 +269,7 @@ def ids(
         _assigned(service, found, set_baud[0], yes, baud=set_baud[1])
 
 
-def _assigned(service: Any, found: list[FoundServo], old: int, yes: bool, **new: int) -> list[FoundServo]:
+def _assigned(service: RigService, found: list[FoundServo], old: int, yes: bool, **new: int) -> list[FoundServo]:
     """One of the servos that were found, changed."""
 
     mine = [servo for servo in found if servo.id == old]
@@ -286,7 +287,7 @@ def _assigned(service: Any, found: list[FoundServo], old: int, yes: bool, **new:
             raise ConfigError(f"{said}: there is no terminal to confirm it; --yes asks for none")
         if not typer.confirm(f"{said}. Go on?", err=True):
             raise ConfigError("nothing was changed")
-    changed: FoundServo = service.assign(servo, **new)
+    changed = service.assign(servo, **new)
     console.show(f"servo id {changed.id} ({changed.model}) answers at {changed.baud} baud")
     return [changed if other == servo else other for other in found]
 
@@ -296,9 +297,9 @@ def reboot(rig: RigOption, axes: Axes = None) -> None:
     """Restart servos (all, or those of some axes), as after an overload. Their torque goes off: support the arms."""
 
     choice = choice_of(rig)
-    service: Any = _service(choice, "reboot")
+    service = _service(choice, "reboot")
     with choice.naming():
-        done: dict[str, str] = service.reboot(choice.description, axes or ())
+        done = service.reboot(choice.description, axes or ())
     for name, failure in done.items():
         console.show(f"{name}: {failure or 'restarted, torque off'}")
     bad = [name for name, failure in done.items() if failure]
@@ -314,10 +315,10 @@ def home(rig: RigOption, axes: Axes = None) -> None:
     """Find the turn of axes that turn further than their servos count: without AXIS, of those that need it."""
 
     choice = choice_of(rig)
-    service: Any = _service(choice, "home")
+    service = _service(choice, "home")
     try:
         with choice.naming():
-            done: dict[str, Homed | str] = service.home(choice.description, axes or (), console.note)
+            done = service.home(choice.description, axes or (), console.note)
     except KeyboardInterrupt:
         raise Interrupted("interrupted; the axis is stopped, and not homed") from None
     for name, found in done.items():
@@ -335,9 +336,9 @@ def home(rig: RigOption, axes: Axes = None) -> None:
         raise DeviceError(f"{choice.description.name}: not homed: {', '.join(bad)}")
 
 
-def _service(choice: RigChoice, method: str) -> object:
+def _service(choice: RigChoice, method: str) -> RigService:
     """The plugin, where it has a service for servos."""
 
     if not hasattr(choice.plugin, method):
         raise ConfigError(f'the rig "{choice.source}" has no servos that can be reached by this')
-    return choice.plugin
+    return cast("RigService", choice.plugin)
