@@ -138,24 +138,31 @@ def focused_nodes(axis: Floats, half_angle: float, focus: Floats) -> tuple[Float
 
 
 @device
-def overlap_area(d, a, b):
-    """Solid angle [sr] that two caps of half-angles a and b share, their axes d apart.
+def lens_area(d, a, b):
+    """Solid angle [sr] that two caps of half-angles a and b share whose rims cross, their axes d apart; of arrays, too.
 
     Two sectors less the two triangles between axes and corners, by half-angle formulas: nothing cancels but in a thin
     lens.
     """
+    h = 0.5 * (a + b + d)
+    s0, sa, sb = np.sin(h), np.maximum(np.sin(h - a), 0.0), np.maximum(np.sin(h - b), 0.0)
+    sd = np.maximum(np.sin(h - d), 0.0)
+    at_a = 2.0 * np.arctan2(np.sqrt(sa * sd), np.sqrt(s0 * sb))
+    at_b = 2.0 * np.arctan2(np.sqrt(sb * sd), np.sqrt(s0 * sa))
+    corner = 2.0 * np.arctan2(np.sqrt(sa * sb), np.sqrt(s0 * sd))
+    tangents = np.tan(0.5 * a) * np.tan(0.5 * b)
+    excess = 2.0 * np.arctan2(tangents * np.sin(corner), 1.0 + tangents * np.cos(corner))
+    return 4.0 * at_a * np.sin(0.5 * a) ** 2 + 4.0 * at_b * np.sin(0.5 * b) ** 2 - 2.0 * excess
+
+
+@device
+def overlap_area(d, a, b):
+    """Solid angle [sr] that two caps of half-angles a and b share, their axes d apart."""
     if d >= a + b:
         return 0.0
     if d <= abs(a - b):
         return 4.0 * math.pi * math.sin(0.5 * min(a, b)) ** 2
-    h = 0.5 * (a + b + d)
-    s0, sa, sb, sd = math.sin(h), math.sin(h - a), math.sin(h - b), math.sin(h - d)
-    at_a = 2.0 * math.atan2(math.sqrt(sa * sd), math.sqrt(s0 * sb))
-    at_b = 2.0 * math.atan2(math.sqrt(sb * sd), math.sqrt(s0 * sa))
-    corner = 2.0 * math.atan2(math.sqrt(sa * sb), math.sqrt(s0 * sd))
-    tangents = math.tan(0.5 * a) * math.tan(0.5 * b)
-    excess = 2.0 * math.atan2(tangents * math.sin(corner), 1.0 + tangents * math.cos(corner))
-    return 4.0 * at_a * math.sin(0.5 * a) ** 2 + 4.0 * at_b * math.sin(0.5 * b) ** 2 - 2.0 * excess
+    return lens_area(d, a, b)
 
 
 @device

@@ -36,6 +36,7 @@ from statistics import NormalDist
 import numpy as np
 
 from gonio.geometry import SAME_SPIKE, Directions, mirrored, solid_angle_of_cone
+from gonio.instrument.spherical_caps import lens_area
 from gonio.typing import ArrayLike, Bools, Floats, Ints
 
 QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 41) for k in range(41)])
@@ -54,18 +55,10 @@ def overlap(offset: ArrayLike, half_angle_1: float, half_angle_2: float) -> Floa
     small, large = sorted((half_angle_1, half_angle_2))
     if small <= 0:
         return np.where(d <= large, 1.0, 0.0)
-    # two sectors less the two triangles between axes and corners, by half-angle formulas
-    h = 0.5 * (small + large + d)
-    s0, sa, sb, sd = (np.sin(np.clip(v, 0.0, math.pi)) for v in (h, h - small, h - large, h - d))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at_a = 2.0 * np.arctan2(np.sqrt(sa * sd), np.sqrt(s0 * sb))
-        at_b = 2.0 * np.arctan2(np.sqrt(sb * sd), np.sqrt(s0 * sa))
-        corner = 2.0 * np.arctan2(np.sqrt(sa * sb), np.sqrt(s0 * sd))
-    tangents = math.tan(0.5 * small) * math.tan(0.5 * large)
-    excess = 2.0 * np.arctan2(tangents * np.sin(corner), 1.0 + tangents * np.cos(corner))
-    full = math.sin(0.5 * small) ** 2
-    lens = at_a * full + at_b * math.sin(0.5 * large) ** 2 - 0.5 * excess
-    return np.where(d <= large - small, 1.0, np.where(d >= large + small, 0.0, lens / (math.pi * full)))
+    lens = lens_area(np.clip(d, large - small, large + small), small, large) / (
+        4.0 * math.pi * math.sin(0.5 * small) ** 2
+    )
+    return np.where(d <= large - small, 1.0, np.where(d >= large + small, 0.0, lens))
 
 
 def over_patch(d: Directions, radius_mm: float, light_mm: float, camera_mm: float) -> Floats:
