@@ -312,8 +312,8 @@ class CookTorrance(Model):
     @property
     def parameter_notes(self) -> Mapping[str, str]:
         if self.normalisation == "paper":
-            return {"s": "share of R_s as the paper prints it, 4 times that of convention = normalised"}
-        return {"s": "share of the normalised R_s, a quarter of what the paper prints"}
+            return {"s": "share of R_s over π, as the paper prints it; over 4π, as today, s would be 4 times this"}
+        return {"s": "share of R_s over 4π; over π, as the paper prints it, s would be a quarter of this"}
 
     def _weighted(self, wavelength_nm: float, diffuse: float, scale: float) -> tuple[Kernel, Constants]:
         scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)

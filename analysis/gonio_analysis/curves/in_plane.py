@@ -196,30 +196,31 @@ def norm(curve: Curve, kind: Normalise, model: Any, data: Observations) -> Norm:
     ----------
     kind
         "mirror": each by its own value in the measured direction nearest the mirror, and where that was not measured,
-        or is dark beside the rest (`DARK_MIRROR`), by its own value at the largest in-plane measurement; "max": the
-        latter for all curves; "model": both by the fitted model in the mirror direction.
+        or is dark beside the rest (`DARK_MIRROR`), both by the largest in-plane measurement; "max": the latter for all
+        curves; "model": both by the fitted model in the mirror direction.
     """
 
     def of_model(angle: float) -> float:
         return float(curve.theory(model, np.array([angle]), data)[0])
 
-    k = curve.mirror
     if kind == "model":
         value = of_model(curve.parameter)
         if np.isfinite(value) and value > 0:
             return Norm("model", value, value, curve.parameter)
-    if k is not None and _dark(curve, k):
-        k = None
-    chosen = k if kind == "mirror" and k is not None else int(np.argmax(curve.brdf))
-    angle = float(curve.angle[chosen])
-    measured = float(curve.brdf[chosen])
-    value = of_model(angle)
+    k = bright_mirror(curve) if kind == "mirror" else None
+    chosen = int(np.argmax(curve.brdf)) if k is None else k
+    angle, measured = float(curve.angle[chosen]), float(curve.brdf[chosen])
     safe = measured if measured > 0 else 1.0
-    found: Normalise = "mirror" if chosen == k and kind == "mirror" else "max"
-    return Norm(found, safe, value if np.isfinite(value) and value > 0 else safe, angle)
+    if k is None:  # where the measurement peaks a model may be dark: by its own value there it would seem bright
+        return Norm("max", safe, safe, angle)
+    value = of_model(angle)
+    return Norm("mirror", safe, value if np.isfinite(value) and value > 0 else safe, angle)
 
 
-def _dark(curve: Curve, k: int) -> bool:
-    """Whether value k is low beside the rest, as the mirror direction of a retroreflector is."""
+def bright_mirror(curve: Curve) -> int | None:
+    """`Curve.mirror`; None where that value is low beside the rest, too, as that of a retroreflector is."""
+    if (k := curve.mirror) is None:
+        return None
     value, top = curve.brdf[k], int(np.argmax(curve.brdf))
-    return bool((curve.angle[top] < 0.0 or value < np.median(curve.brdf)) and curve.brdf[top] > DARK_MIRROR * value)
+    dark = (curve.angle[top] < 0.0 or value < np.median(curve.brdf)) and curve.brdf[top] > DARK_MIRROR * value
+    return None if dark else k

@@ -181,7 +181,7 @@ def _crossing(x: Floats, f: Floats, share: Floats, top: int, step: int, half: fl
     below = np.flatnonzero(share[side] < FLANK[0])
     walked = side[: below[0] + 1] if below.size else side
     under = np.flatnonzero(share[walked] < 0.5)
-    if not under.size:
+    if not under.size or not under[0]:  # not passed, or the maximum itself does not rise from the base
         return None
     flank = walked[(share[walked] > FLANK[0]) & (share[walked] < FLANK[1])]
     if flank.size >= MANY:

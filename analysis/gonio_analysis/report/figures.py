@@ -343,9 +343,10 @@ def _series(facts: DatasetSummary, model: str, f: FittedModel, file: str) -> Dra
         for name in f.fit.free
         if any(not r.parameters[name].fixed for r in f.series)
     }
+    same = [name for name, of in values.items() if len(of) > 1 and np.ptp(of[:, 0]) == 0.0]
     caption = (
         f"{model}: fitted parameters at each of the {len(f.series)} wavelengths, with standard errors (those wider"
-        " than the panel are not drawn)."
+        " than the panel are not drawn)." + (f" One value for all of them: {', '.join(same)}." if same else "")
     )
     high = 0.35 + 1.55 * -(-len(values) // SERIES_COLUMNS)
     on = partial(_on_series, x=x, values=values)

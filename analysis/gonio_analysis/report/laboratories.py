@@ -193,11 +193,11 @@ def says(x: LaboratoryVerdict) -> str:
     if not x.scale_consistent:
         word = "high" if x.degree > 0 else "low"
         size = with_u(100 * abs(x.degree), 100 * x.u_degree)
-        parts.append(f"is ({size}) % {word} at all angles: a reference")
+        parts.append(f"is ({size}) % {word} at all angles, as a wrong reference makes it")
     if not x.zero_consistent and x.zero is not None and x.u_zero is not None:
         word = "large" if x.zero > 0 else "small"
         size = with_u(float(np.degrees(abs(x.zero))), float(np.degrees(x.u_zero)))
-        parts.append(f"reads its angle ({size})° too {word}: a zero")
+        parts.append(f"reads its angle ({size})° too {word}, as a wrong zero makes it")
     if not x.scatter_consistent and x.scatter is not None:
         parts.append(f"scatters {x.scatter:.1f} times as much as it states")
     return " and ".join(parts)
@@ -302,7 +302,7 @@ def _laboratories(c: LaboratoryComparison) -> Table:
 
 def _cause(x: LaboratoryVerdict) -> str:
     """What sets a laboratory apart, in few words; `says` has the numbers."""
-    parts = ["a reference"] * (not x.scale_consistent) + ["a zero"] * (not x.zero_consistent)
+    parts = ["scale"] * (not x.scale_consistent) + ["zero"] * (not x.zero_consistent)
     return "off: " + ", ".join(parts + ["scatter"] * (not x.scatter_consistent)) if not x.consistent else ""
 
 

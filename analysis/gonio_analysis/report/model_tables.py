@@ -50,7 +50,7 @@ def _row(d: DatasetSummary, label: str, j: Judged | None, alone: bool) -> list[T
     f = d.models.get(label)
     fit = f.fit if f is not None else j.fit if j is not None else None
     assert fit is not None
-    typical = difference(f.metrics["log_ratio"] if f else None) if alone else verdict.misfit_words(fit.tau)
+    typical = verdict.misfit_words(fit.tau) if f is None or not alone else off_by(f)
     missed = f.missed if f is not None else j.fails if j is not None else None
     said: Text = verdict.brief(d.choice, label, fit)
     if f is not None and f.reflects_too_much:
@@ -65,6 +65,11 @@ def _row(d: DatasetSummary, label: str, j: Judged | None, alone: bool) -> list[T
         said,
         wall,
     ]
+
+
+def off_by(f: FittedModel) -> str:
+    """How far off a model is: its misfit, or where a fit states none the root mean square of ln(model / measured)."""
+    return difference(f.metrics["log_ratio"]) if f.fit.tau is None else verdict.misfit_words(f.fit.tau)
 
 
 def _worst(missed: WorstRegion | None, *, rejected: bool) -> str:

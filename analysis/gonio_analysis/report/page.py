@@ -33,9 +33,9 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
-from gonio_analysis.report.model_tables import fitted_words
+from gonio_analysis.report.model_tables import OFF, fitted_words, off_by
 from gonio_analysis.report.section import part
-from gonio_analysis.report.text import FILLING, difference, number, percent, slug, with_u
+from gonio_analysis.report.text import FILLING, number, percent, slug, with_u
 from gonio_analysis.report.viewer import ViewerData
 
 MOST_SOURCES = 50
@@ -221,7 +221,7 @@ def _overview(s: Summary, place: Mapping[str, str], beside: Beside) -> list[Bloc
     for d in s.datasets:
         link = Span(d.title, href=place.get(d.slug, f"#{d.slug}"))
         for name, f in d.models.items():
-            numbers = (number(f.fit.reduced_chi_square), difference(f.metrics["log_ratio"]))
+            numbers = (number(f.fit.reduced_chi_square), off_by(f))
             rows.append((link, strong(name), *numbers, fitted_words(d, name, f)))
         for name in d.skipped:
             rows.append((link, strong(name), "–", "–", "not fitted: see there"))
@@ -230,8 +230,8 @@ def _overview(s: Summary, place: Mapping[str, str], beside: Beside) -> list[Bloc
     remedies = [] if c is None or c.models is None else [Paragraph(one.words, "note") for one in c.models.remedies]
     plot = [Viewer(SAMPLES, view)] if view is not None else []
     nearest = table(
-        "The nearest model of each sample, and by how much it differs typically: rms of ln(model / measured).",
-        ["sample", "best model", "typical difference", "verdict"],
+        "The nearest model of each sample, and how far it is off, typically.",
+        ["sample", "best model", OFF, "verdict"],
         [_headline(d, place) for d in s.datasets],
         right=(2,),
         most=(MOST_ROWS, "metrics.csv"),
@@ -247,7 +247,7 @@ def _overview(s: Summary, place: Mapping[str, str], beside: Beside) -> list[Bloc
         Heading(3, "Every model on every sample", f"{len(rows)} fits"),
         table(
             "Parameters of a geometry that several wavelengths share say so.",
-            ["sample", "model", "reduced χ²", "typical difference", "fitted parameters"],
+            ["sample", "model", "reduced χ²", OFF, "fitted parameters"],
             rows,
             right=(2, 3),
             most=(MOST_ROWS, "metrics.csv and parameters.csv"),
@@ -263,7 +263,7 @@ def _headline(d: DatasetSummary, place: Mapping[str, str]) -> list[Text]:
         return [link, "–", "–", "no model was fitted"]
     f = d.models[d.best]
     said = f.fit.verdict.partition("; it ")[0] if f.fit.reduced_chi_square is not None else "no uncertainty is stated"
-    return [link, strong(d.best), difference(f.metrics["log_ratio"]), said]
+    return [link, strong(d.best), off_by(f), said]
 
 
 def _conventions(s: Summary) -> list[Block]:

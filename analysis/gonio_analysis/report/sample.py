@@ -303,8 +303,7 @@ def _polar_words(s: Summary, d: DatasetSummary) -> Paragraph:
         " He, Torrance, Sillion and Greenberg (1991): the measured value nearest the mirror, within"
         f" {s.mirror_tolerance_deg:g}°; theory is divided by its own value in that direction. ",
         "max": "Where that direction was not measured, is dark beside the rest of the curve, or the largest value was"
-        " asked for, the divisor is the largest in-plane value, and theory is divided by its own value in that"
-        " direction. ",
+        " asked for, measurement and theory are both divided by the largest in-plane measurement. ",
         "model": "Measurement and theory are both divided by the fitted model's value in the mirror direction. ",
     }
     first = "".join(text for kind, text in words.items() if kind in kinds)

@@ -266,9 +266,10 @@
       if (this.norm === "none") return ["BRDF [1/sr]"];
       const curves = this.data.waves[this.wave].curves.filter((curve) => this.labels.has(curve.label));
       const without = curves.filter((curve) => curve.series.some((s) => this.series.has(s.name) && !s.by[this.norm]));
-      const largest = this.norm === "mirror" && without.length;
-      const words = [`BRDF / ${NORMS.find(([key]) => key === this.norm)[1]}`];
-      if (largest) words.push(`${without.length} of ${curves.length} curves: / largest in-plane value`);
+      const largest = this.norm === "mirror" ? without.length : 0;
+      const norm = largest && largest === curves.length ? "max" : this.norm;
+      const words = [`BRDF / ${NORMS.find(([key]) => key === norm)[1]}`];
+      if (largest && norm === this.norm) words.push(`${without.length} of ${curves.length} curves: / largest in-plane value`);
       return 6.5 * words.join("; ").length > room ? words : [words.join("; ")];
     }
 

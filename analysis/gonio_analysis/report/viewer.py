@@ -7,7 +7,7 @@ import numpy as np
 
 from gonio.shown import finite
 from gonio.typing import Floats
-from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, curves, evenly, labels, selection
+from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, bright_mirror, curves, evenly, labels, selection
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.plots import thinning
 from gonio_analysis.report.facts import DatasetSummary
@@ -177,17 +177,14 @@ def note(drawn: int, of: int, waves: int, known: int) -> str:
 
 
 def _curve(c: Curve, name: str, own: str, theory: dict[str, tuple[Floats, Floats]]) -> CurveView:
-    places = {
-        "max": c.angle[int(np.argmax(c.brdf))],
-        "mirror": None if c.mirror is None else c.angle[c.mirror],
-        "model": c.parameter,
-    }
+    mirror = bright_mirror(c)
+    places = {"mirror": None if mirror is None else c.angle[mirror], "model": c.parameter}
     series = [points(own, c, c.brdf, c.u)]
     for model, (angle, value) in theory.items():
         by = {
             kind: None if where is None else _positive(value[int(np.argmin(np.abs(angle - where)))])
             for kind, where in places.items()
-        }
+        } | {"max": series[0]["by"]["max"]}
         series.append({"name": model, "angle": _degrees(angle), "brdf": _rounded(value, 5), "u": None, "by": by})
     return entry(c, name, series)
 
@@ -199,7 +196,7 @@ def entry(c: Curve, label: str, series: list[Series]) -> CurveView:
 
 def points(name: str, c: Curve, brdf: Floats, u: Floats) -> Series:
     """Values [1/sr] along a curve as a series; it is divided by its own value in the mirror direction, or largest."""
-    mirror = None if c.mirror is None else _positive(brdf[c.mirror])
+    mirror = None if (k := bright_mirror(c)) is None else _positive(brdf[k])
     return {
         "name": name,
         "angle": _degrees(c.angle),

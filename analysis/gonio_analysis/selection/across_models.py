@@ -150,11 +150,13 @@ def remedy(d: Dataset) -> Remedy | None:
     if fit.problem.ior is not None or not parameters.needs_ior(best.candidate.model) or "ior" not in fit.free:
         return None
     index, k = fit.parameters["ior"].value, _value(fit, "k")
+    u = fit.parameters["ior"].u or 0.0
     if k > METAL_K:
         found = f"the fitted n + ik = {number(index)} + {number(k)}i is a metal's"
     elif index > METAL_N and k == 0.0:
         rejected = ", and the data reject the model" if fit.rejected else ""
-        found = f"the fitted n = {number(index)} with k = 0 reflects as a metal does{rejected}"
+        sure = "reflects as a metal does" if index - 2.0 * u > METAL_N else "may stand for a metal's n + ik"
+        found = f"the fitted n = {with_u(index, u)} with k = 0 {sure}{rejected}"
     else:
         return None
     return Remedy(d.title, f"{d.title}: {found}; {_name_it(d)}.")

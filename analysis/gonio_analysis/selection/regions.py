@@ -21,7 +21,9 @@ ONE_WAY = 0.7
 FEWEST, TELLING = 3, 1.0
 """Values that a region has at least, and what they weigh together; a value without noise weighs 1."""
 FEATURE = 2.0
-"""A single value is said as a ratio beyond this factor, and not in percent."""
+"""A single value is said as a factor beyond this one, and not in percent."""
+TINY = 1e-300
+"""A ratio below it is said as it; no measurement is that far from a model."""
 PERCENT = 0.2
 """Logarithms below it are said as percents, as tau is; above it the two ways would differ: a factor is said."""
 SINGLE = 1.5
@@ -57,9 +59,9 @@ class WorstRegion:
             return ""
         factor = self.typical >= PERCENT
         many = math.exp(min(self.typical, 700.0)) if factor else 100 * self.typical
-        amount = f"a factor of {shown.number(many, 2)}" if factor else f"{shown.number(many, 2)} %"
+        amount = f"a factor of {_two_digits(many)}" if factor else f"{shown.number(many, 2)} %"
         way = f"too {'high' if self.ratio > 1 else 'low'}"
-        if abs(math.log(max(self.ratio, 1e-300))) < ONE_WAY * self.typical:
+        if abs(math.log(max(self.ratio, TINY))) < ONE_WAY * self.typical:
             how = f"off by {amount} either way,"
         else:
             how = f"{way} by {amount}," if factor else f"{amount} {way}"
@@ -71,7 +73,7 @@ class WorstRegion:
         """The value that is farthest off, where it is clearly farther than the region; "" where it is not."""
         if self.single_ratio is None or abs(math.log(self.single_ratio)) <= self.typical + math.log(SINGLE):
             return ""
-        return f"one value is {times(self.single_ratio)}, at {self.single_words}"
+        return f"in one direction it is {too_far(self.single_ratio)}: {self.single_words}"
 
 
 def worst(missed: WorstRegion | None) -> str:
@@ -82,11 +84,17 @@ def worst(missed: WorstRegion | None) -> str:
     return where + (f" ({missed.single})" if missed.single else "")
 
 
-def times(ratio: float) -> str:
-    """How a model stands to a measurement: in percent near it, as a factor far from it."""
+def too_far(ratio: float) -> str:
+    """Which way and how far a model is off where it is `ratio` times the measurement: in percent, or by a factor."""
+    way = f"too {'high' if ratio > 1 else 'low'}"
     if 1 / FEATURE < ratio < FEATURE:
-        return f"{shown.number(100 * abs(ratio - 1), 2)} % {'above' if ratio > 1 else 'below'} the measurement"
-    return f"{shown.number(ratio, 2)} {'times' if ratio > 1 else 'of'} the measurement"
+        return f"{shown.number(100 * abs(ratio - 1), 2)} % {way}"
+    return f"{way} by a factor of {_two_digits(max(ratio, 1 / max(ratio, TINY)))}"
+
+
+def _two_digits(factor: float) -> str:
+    """A factor, large ones rounded too: how far a model is off is not known to a millionth."""
+    return shown.number(float(f"{factor:.2g}"), 2)
 
 
 def incidences(theta_i: Floats) -> list[tuple[float, Rows]]:

@@ -129,9 +129,9 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, monkeypatch: pytest.M
 def test_the_normalisation_stands_beside_s(tmp_path: Path) -> None:
     measurement.write(measure(models.CookTorrance(s=0.3, m=0.2, ior=1.5, diffuse_albedo=0.3)), tmp_path / "t.csv")
     printed = gonio(tmp_path, "fit", "t.csv", "--model", "cook-torrance", "--ior", "1.5")
-    assert "share of R_s as the paper prints it, 4 times that of convention = normalised" in " ".join(
+    assert "over π, as the paper prints it; over 4π, as today, s would be 4 times this" in " ".join(
         printed.stdout.split()
     )
     more = ("--fix", "convention=normalised")
     true = gonio(tmp_path, "fit", "t.csv", "--model", "cook-torrance", "--ior", "1.5", *more)
-    assert "share of the normalised R_s" in " ".join(true.stdout.split())
+    assert "share of R_s over 4π" in " ".join(true.stdout.split())

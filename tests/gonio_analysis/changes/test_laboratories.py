@@ -257,7 +257,8 @@ def test_the_report_names_who_is_off(three: Path) -> None:
     assert {"overview", "polar", "deviations", "youden"} <= drawn
     assert any(name.startswith("map-") for name in drawn)
     page = (out / "index.html").read_text(encoding="utf-8")
-    assert "a reference" in page
+    assert "% high at all angles, as a wrong reference makes it" in page
+    assert "off: scale" in page
     cells = re.findall(r">([^<]*)</td>", page)
     assert {f"{x['e_n']:.2f}".replace("-", "−") for x in summary["laboratories"]} <= set(cells)
 

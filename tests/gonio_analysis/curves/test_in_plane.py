@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from gonio_analysis.curves.in_plane import MOST_CURVES, curves, norm, selection
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.report.viewer import _curve
 
 from gonio.models import build
 from tests.gonio_analysis.synthetic import measure
@@ -79,9 +80,8 @@ def test_normalisation_that_was_asked_for(kind: str, expected: str) -> None:
     c = curves(data)[0]
     n = norm(c, kind, GLOSS, data)  # type: ignore[arg-type]
     assert n.kind == expected
-    assert n.theory == pytest.approx(
-        float(c.theory(GLOSS, np.array([n.angle]), data)[0]), rel=1e-14
-    )  # alone or in an array
+    own = float(c.theory(GLOSS, np.array([n.angle]), data)[0])
+    assert n.theory == pytest.approx(c.brdf.max() if kind == "max" else own, rel=1e-14)  # alone or in an array
     if kind == "mirror":
         assert np.degrees(n.angle) == pytest.approx(40, rel=1e-14)
         assert n.measured == c.brdf[c.mirror]
@@ -112,6 +112,12 @@ def test_a_retroreflector_is_not_divided_by_its_dark_mirror_direction(incidence:
     assert n.kind == "max"
     assert n.measured == c.brdf.max()
     assert np.degrees(n.angle) == pytest.approx(-incidence, rel=1e-14)
+    # by its own value there a model without that peak was drawn 19 times as bright as it is
+    assert n.theory == n.measured
+    seen = _curve(c, c.label, "measured", {"gloss": (c.angle, c.theory(GLOSS, c.angle, data))})
+    by = {s["name"]: s["by"] for s in seen["series"]}
+    assert by["gloss"]["max"] == by["measured"]["max"] == pytest.approx(n.measured, rel=1e-8)
+    assert by["gloss"]["mirror"] is by["measured"]["mirror"] is None
 
 
 def test_selection_prefers_curves_with_a_mirror_direction() -> None:

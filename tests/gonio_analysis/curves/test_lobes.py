@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from gonio_analysis.curves.in_plane import curves
-from gonio_analysis.curves.lobes import CurveLobe, lobe
+from gonio_analysis.curves.lobes import CurveLobe, _crossing, lobe
 from gonio_analysis.fitting.observations import observations
 
 from gonio.models import build
@@ -49,3 +49,10 @@ def test_a_lobe_as_narrow_as_the_instruments_cones_says_so() -> None:
     model = build("phong", {"k_d": 0.3, "k_s": 50.0, "exponent": 5000.0})
     found = lobes(model, noise=0.01, cone_sr=0.01, views=np.arange(-80.0, 80.1, 0.5))
     assert {one.why for one in found if one.exists} == {"it is as narrow as the instrument's cones"}
+
+
+def test_a_maximum_that_does_not_rise_from_the_base_has_no_crossing() -> None:
+    """Values in wide steps, of a sheet for shading windows, were divided by a slope of zero."""
+    x, f = np.radians(np.arange(-60.0, 61.0, 20.0)), np.ones(7)
+    with np.errstate(all="raise"):
+        assert _crossing(x, f, np.zeros(7), 3, 1, 0.5) is None

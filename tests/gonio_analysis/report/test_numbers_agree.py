@@ -108,6 +108,15 @@ def test_the_verdict_has_the_numbers_of_the_table(pages: dict[str, str], which: 
         assert np.isclose(numbers, float(one), rtol=5e-3).any(), one
 
 
+@pytest.mark.slow
+def test_of_several_samples_the_first_table_says_what_each_verdict_says(pages: dict[str, str]) -> None:
+    """It said 8.0 % where the sample's verdict said 7.9 %: a root mean square of logarithms beside a misfit."""
+    text = " ".join(Tables(pages["two-one"]).words)
+    said = re.findall(r"(?:describes this sample to|misses this sample by) ([^()]+ \([^()]+\))", text)
+    assert said
+    assert set(said) <= {cell for row in Tables(pages["two-one"]).tables[0] for cell in row}
+
+
 def test_two_values_are_seen(tmp_path: Path) -> None:
     page = (
         "<table><tr><th>parameter</th><th>value ± u</th></tr><tr><th>m</th><td>0.25010 ± 0.00081</td></tr></table>"

@@ -150,8 +150,23 @@ def test_choices_draw_something_else(report: Path, tab: Page) -> None:
     assert "largest in-plane value" in choose("norm", "max")
     assert "BRDF [1/sr]" in choose("norm", "none")
     assert "model in the mirror direction" in choose("norm", "model")
+    assert "BRDF / value in the mirror direction" in choose("norm", "mirror")
     assert "mirror side positive" in choose("plot", "log")
     assert tab.complaints == []
+
+
+def test_where_no_curve_has_its_mirror_value_the_axis_names_what_divides(
+    report: Path, tab: Page, tmp_path: Path
+) -> None:
+    """It was "BRDF / value in the mirror direction; 2 of 2 curves: / largest in-plane value"."""
+    text = (report / "index.html").read_text(encoding="utf-8")
+    bare = re.sub(r'("max": ?[^,{}]+, ?"mirror": ?)[\d.e+-]+', r"\1null", text)
+    assert bare != text
+    (tmp_path / "bare.html").write_text(bare, encoding="utf-8")
+    tab.open(tmp_path / "bare.html", 1280)
+    drawn = tab.run("document.querySelector('.viewer .stage svg').textContent")
+    assert "BRDF / largest in-plane value" in drawn
+    assert "mirror direction" not in drawn
 
 
 def test_prints_without_the_controls(report: Path, tab: Page) -> None:

@@ -35,7 +35,7 @@ SAID = re.compile(
     r" the nearest, \S+): it describes this sample to [\d.]+ % \([\d.]+ to [\d.]+\), worst "
     + OFF
     + r" (on the retro side|between normal and mirror|around the mirror direction|beyond the mirror direction)"
-    r" at θi = \d+°( \(one value is [^)]*\))?\."
+    r" at θi = \d+°( \(in one direction it is [^)]*\))?\."
 )
 
 

@@ -1,10 +1,12 @@
 """What models say of several samples: only such as describe all of them about as well as the nearest to each."""
 
+from dataclasses import replace
+
 import pytest
 from gonio_analysis.report.across_plot import draw, view
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.result_records import as_json
-from gonio_analysis.selection.across_models import across_models
+from gonio_analysis.selection.across_models import across_models, remedy
 from gonio_analysis.selection.compare import Dataset, examine
 
 from gonio.models import build
@@ -51,6 +53,21 @@ def test_a_metal_with_a_free_index_has_a_remedy() -> None:
         assert "--ior gold leaf.csv=Au takes the index of Au" in one.words
     given = examine(leaf.table, ["cook-torrance"], name="gold leaf", source="gold leaf.csv", ior="Au")
     assert across_models([given, given]).remedies == []
+
+
+def test_an_index_that_is_not_known_is_not_called_a_metals(paints: list[Dataset]) -> None:
+    """n = 7 with u = 27 "reflects as a metal does", beside a table that said 7 +- 27."""
+    gold = build("cook-torrance", {"s": 1.0, "d": 0.0, "m": 0.3, "diffuse_albedo": 0.0, "ior": 20.0})
+    leaf = sample("leaf", gold, 1, "cook-torrance")
+    fitted = leaf.fitted["cook-torrance"]
+    for n, u, words in (
+        (7.0, 27.0, "n = 7 ± 27 with k = 0 may stand for"),
+        (7.0, 1.0, "n = 7.0 ± 1.0 with k = 0 refl"),
+    ):
+        known_to = replace(fitted.fit.parameters["ior"], value=n, u=u)
+        fit = replace(fitted.fit, parameters={**fitted.fit.parameters, "ior": known_to})
+        said = remedy(replace(leaf, fitted={"cook-torrance": replace(fitted, fit=fit)}))
+        assert words in known(said).words
 
 
 def test_the_summary_and_the_plot_have_all_samples(paints: list[Dataset]) -> None:

@@ -10,7 +10,7 @@ from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.report import verdict
-from gonio_analysis.selection.regions import FEWEST, WorstRegion, farthest, times, worst
+from gonio_analysis.selection.regions import FEWEST, WorstRegion, farthest, too_far, worst
 
 from gonio.formats.reader import table
 from gonio.typing import Floats
@@ -108,12 +108,12 @@ def test_a_value_in_a_zone_of_its_own_is_in_the_region_beside_it(seed: int) -> N
     assert found.single_words == "θi = 82.5°, signed θr = 82.5°"
     words = verdict.where(found)
     assert "off by a factor of 43" in words  # the root mean square of six logarithms, one of them ln 1e4
-    assert "0.00010 of the measurement" in words
+    assert "in one direction it is too low by a factor of 10\u00a0000: θi = 82.5°, signed θr = 82.5°" in words
     # the same of a value out of the plane
     predicted[at], predicted[-1] = 1.0, 300.0
     found = known(farthest(of(data, predicted)))
     assert found.single_words == "θi = 82.5°, θr = 40°, φr − φi = 60°"
-    assert "300 times the measurement" in verdict.where(found)
+    assert "it is too high by a factor of 300: θi = 82.5°, θr = 40°" in verdict.where(found)
 
 
 def sweep(rng: np.random.Generator, u_rel: float = 0.0) -> Observations:
@@ -177,15 +177,15 @@ def test_a_value_that_is_hardly_known_is_not_the_worst(seed: int) -> None:
 @pytest.mark.parametrize(
     ("ratio", "words"),
     [
-        (46.0, "46 times the measurement"),
-        (1.113, "11 % above the measurement"),
-        (0.46, "0.46 of the measurement"),
-        (0.54, "46 % below the measurement"),
-        (1.3e-6, "1.3 × 10⁻⁶ of the measurement"),  # it was "100 % too low"
+        (46.0, "too high by a factor of 46"),
+        (1.113, "11 % too high"),
+        (0.46, "too low by a factor of 2.2"),  # it was "0.46 of the measurement"
+        (0.54, "46 % too low"),
+        (1.3e-6, "too low by a factor of 770\u00a0000"),  # it was "100 % too low"
     ],
 )
 def test_how_a_model_stands_to_a_measurement(ratio: float, words: str) -> None:
-    assert times(ratio) == words
+    assert too_far(ratio) == words
 
 
 @pytest.mark.parametrize(("part", "words"), [(0.71, "too high"), (0.69, "either way")])
