@@ -152,7 +152,14 @@ def fresnel_real(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
     return contrast * (cm2 * x_cm), (x_cm + two_ca_cm * sin2) * (c_q2_cm * c_q2_cm)
 
 
-def fresnel_constants(ior: complex) -> tuple[float, float, float]:
+@device
+def index_constants(n, k):  # type: ignore[no-untyped-def]
     """What `fresnel` needs of an index n + ik: |n~^2 - 1|^2, n^2 - k^2 - 1 and n k."""
-    n, k = ior.real, ior.imag
-    return ((n - 1.0) ** 2 + k * k) * ((n + 1.0) ** 2 + k * k), (n - 1.0) * (n + 1.0) - k * k, n * k
+    contrast = ((n - 1.0) * (n - 1.0) + k * k) * ((n + 1.0) * (n + 1.0) + k * k)
+    return contrast, (n - 1.0) * (n + 1.0) - k * k, n * k
+
+
+def fresnel_constants(ior: complex) -> tuple[float, float, float]:
+    """`index_constants` of a complex number."""
+    contrast, real, imag = index_constants(ior.real, ior.imag)
+    return contrast, real, imag

@@ -26,6 +26,13 @@ TIER, ROUGHEST = 9, 2
 
 
 @device
+def surface_constants(k0, sigma0, tau):
+    """Constants 1 to 4 of a surface, at a wave number in 1/um, of lengths in um; the last one is at most 1e100."""
+    phase, width = (k0 * sigma0) * (k0 * sigma0), (k0 * tau) * (k0 * tau)
+    return phase * width / (16.0 * math.pi), phase, 0.25 * width, min(tau / (2.0 * max(sigma0, 1e-200)), 1e100)
+
+
+@device
 def shadowing(z_i, s_i, z_r, s_r, a, printed):
     """(lit_i, all_i, lit_r, all_r, K_i + K_r) with S_1/cos(theta) = lit/all.
 

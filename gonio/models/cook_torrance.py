@@ -65,6 +65,12 @@ def gaussian_slopes(square, slopes):  # type: ignore[no-untyped-def]
 
 
 @device
+def beckmann_slope(m, scale):  # type: ignore[no-untyped-def]
+    """Rate and factor of a slope for `gaussian_slopes`, of Beckmann's D."""
+    return -_LOG2_E / (m * m), scale / (m * m)
+
+
+@device
 def facets(sz, g, diffuse, up, down):  # type: ignore[no-untyped-def]
     """The BRDF for D F = up / down: D F G/((N.L)(N.V)) with G/((N.L)(N.V)) = s_z/g."""
     up *= sz
@@ -317,14 +323,9 @@ class CookTorrance(Model):
 
     def _weighted(self, wavelength_nm: float, diffuse: float, scale: float) -> tuple[Kernel, Constants]:
         scale /= pi * (4.0 if self.normalisation == "normalised" else 1.0)
-        slopes = [
-            value
-            for m, w in self.slopes
-            for value in (
-                -_LOG2_E / (m * m),
-                scale * w / (m * m if self.distribution == "beckmann" else 1.0),
-            )
-        ]
+        slopes = [value for m, w in self.slopes for value in beckmann_slope(m, scale * w)]
+        if self.distribution == "gaussian":
+            slopes[1::2] = [scale * w for _, w in self.slopes]
         ior = index_at(self.ior, wavelength_nm)
         if self.fresnel == "schlick":
             f0 = float(reflectance(1.0, ior))

@@ -17,7 +17,7 @@ from numpy.polynomial import chebyshev
 from gonio.errors import ArgumentError
 from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
-from gonio.models._facets import by_cosines, facet, fresnel, fresnel_constants
+from gonio.models._facets import by_cosines, facet, fresnel, index_constants
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model
@@ -48,6 +48,12 @@ def lobe(slope2, sz, s2, lz, vz, lt2, vt2, own):  # type: ignore[no-untyped-def]
     smith = vz * sqrt(lz * lz + lt2) + lz * sqrt(vz * vz + vt2)
     value = diffuse + scale * (s2 * s2) * f_up / (root * root * f_down * smith)
     return value if value < 1e60 else math.inf
+
+
+@device
+def lobe_constants(ax, ay, diffuse_albedo, n, k):  # type: ignore[no-untyped-def]
+    """What `lobe` takes of its parameters."""
+    return (diffuse_albedo / pi, 0.5 / (pi * ax * ay)) + index_constants(n, k)  # noqa: RUF005 - numba adds tuples
 
 
 @of_columns(by_cosines, 4)
@@ -124,7 +130,8 @@ class GGX(Model):
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         a, b = self.alpha, self.alpha if self.alpha_y is None else self.alpha_y
-        own = (self.diffuse_albedo / pi, 0.5 / (pi * a * b), *fresnel_constants(index_at(self.ior, wavelength_nm)))
+        index = index_at(self.ior, wavelength_nm)
+        own = lobe_constants(a, b, self.diffuse_albedo, index.real, index.imag)
         return (anisotropic, (*own, a * a, b * b)) if self.depends_on_azimuth else (isotropic, (*own, a * a))
 
     def _hemispherical(

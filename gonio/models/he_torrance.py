@@ -156,17 +156,11 @@ class HeTorrance(Model):
 
     def _constants(self, wavelength_nm: float) -> Constants:
         k0 = 2.0 * math.pi / (wavelength_nm * 1e-3)  # rad/um
-        phase = (k0 * self.sigma0_um) ** 2
-        width = (k0 * self.tau_um) ** 2
         index = fresnel_constants(index_at(self.ior, wavelength_nm))
-        slope = min(self.tau_um / (2.0 * self.sigma0_um), 1e100) if self.sigma0_um > 0.0 else 1e100
         tier = sum(self.tolerance >= limit for limit in TIERS) - 1
         return (
             self.diffuse_albedo / math.pi,
-            phase * width / (16.0 * math.pi),
-            phase,
-            0.25 * width,
-            slope,
+            *kernels.surface_constants(k0, self.sigma0_um, self.tau_um),
             float(self.shadowing == "paper"),
             *index,
             float(tier),

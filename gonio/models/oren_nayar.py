@@ -106,6 +106,19 @@ def functional(c2_term, c3_term, interreflection, p):  # type: ignore[no-untyped
 
 
 @device
+def functional_constants(albedo, sigma, bounces):  # type: ignore[no-untyped-def]
+    """What `functional` takes of its parameters; sigma [rad], and 1 with interreflection or 0 without."""
+    s2, once = sigma * sigma, albedo / pi
+    narrow = s2 / (s2 + 0.09)
+    return (
+        once * (1.0 - 0.5 * s2 / (s2 + 0.33)),
+        once * 0.45 * narrow,
+        once * 0.125 * narrow,
+        0.17 * albedo * (once * bounces) * s2 / (s2 + 0.13),
+    )
+
+
+@device
 def qualitative(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
     """Eq. 17, rho/pi (A + B max(0, cos(dphi)) sin(alpha) tan(beta)); p as `functional`."""
     a, b, _, _ = p  # A and B times rho/pi
@@ -222,14 +235,7 @@ class OrenNayar(Model):
             if sigma < 1e-9:  # flat to the last digit
                 return isotropic_grooves, (once, twice, 0.0, 1.0)
             return gaussian_grooves, (once, twice, *gaussian_constants(sigma))
-        s2 = sigma * sigma
-        narrow = s2 / (s2 + 0.09)
-        return _KERNELS[self.form], (
-            once * (1.0 - 0.5 * s2 / (s2 + 0.33)),
-            once * 0.45 * narrow,
-            once * 0.125 * narrow,
-            0.17 * self.albedo * twice * s2 / (s2 + 0.13),
-        )
+        return _KERNELS[self.form], functional_constants(self.albedo, sigma, float(self.interreflections))
 
     def _hemispherical(
         self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float

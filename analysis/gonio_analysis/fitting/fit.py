@@ -28,7 +28,7 @@ from gonio.models.parameters import Declaration, Values
 from gonio.progress import Say, silent
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.forward import apparent, by_model, known_wavelength, pointlike, rho_angles
-from gonio_analysis.fitting.misfit import SMALLEST, block_spread, estimated_tau, misfit
+from gonio_analysis.fitting.misfit import SETTLED, SMALLEST, TURNS, block_spread, estimated_tau, misfit
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
@@ -42,10 +42,6 @@ EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
 AT_BOUND = 1e-3
 """Part of a parameter's range: one nearer to a bound than this is tried on the bound, too."""
-TURNS = 8
-"""Times that parameters and tau are found in turn, at most."""
-SETTLED = 1e-3
-"""Change of ln tau that ends it: a hundredth of what tau is uncertain by, or less."""
 UNSETTLED = 0.1
 """Part of chi-square over its degrees of freedom that one more step would take away, above which a search has not come
 to its end: of ten models' fits all that had left less than 1e-15."""

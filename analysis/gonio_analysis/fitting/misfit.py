@@ -41,6 +41,10 @@ from gonio_analysis.fitting.value_covariance import Covariance
 
 SMALLEST, LARGEST = 1e-12, 1e3
 """Limits between which tau is sought."""
+TURNS = 8
+"""Times that parameters and tau are found in turn, at most."""
+SETTLED = 1e-3
+"""Change of ln tau that ends it: a hundredth of what tau is uncertain by, or less."""
 MOST_LEARNED = 100
 """Values that the process learns its parameters from, evenly taken of more: twenty steps take 50 ms."""
 MOST_NODES = 300

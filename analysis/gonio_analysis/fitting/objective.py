@@ -239,7 +239,7 @@ def objective(data: Observations, metric: str | None = None) -> Objective:
     """
     stated = data.covariance is not None and data.u_rel_assumed is None
     chosen = metric or ("weighted" if stated else "log")
-    small = smallest(data)
+    small = smallest(data.brdf)
     if chosen == "weighted":
         if data.covariance is None:
             raise ConfigError(
@@ -257,9 +257,9 @@ def objective(data: Observations, metric: str | None = None) -> Objective:
     )
 
 
-def smallest(data: Observations) -> float:
-    """e [1/sr] of the scale of "log"."""
-    return max(LINEAR_BELOW * float(np.median(np.abs(data.brdf))), 1e-300)
+def smallest(brdf: Floats) -> float:
+    """e [1/sr] of the scale of "log", for measured values."""
+    return max(LINEAR_BELOW * float(np.median(np.abs(brdf))), 1e-300)
 
 
 def on_log_scale(data: Observations, small: float, predicted: Floats, tau: float = 0.0) -> Covariance | None:
@@ -281,7 +281,7 @@ def with_misfit(data: Observations, tau: float, predicted: Floats) -> Objective:
 
     tau^2 depends on no fitted value: a model cannot make itself likely by a larger variance.
     """
-    small = smallest(data)
+    small = smallest(data.brdf)
     weights = on_log_scale(data, small, predicted, tau)
     return Objective(data.brdf, weights, small, metric="log", tau=tau, assumed=data.u_rel_assumed)
 

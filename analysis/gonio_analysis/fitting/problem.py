@@ -27,6 +27,13 @@ BOUND_STEP = 1e-3
 """Step for the derivatives of rho_dh, whose integral is right to 1e-5."""
 
 
+def acceptable(freedom: Any) -> Any:
+    """Chi-square of so many degrees of freedom, or of arrays of them, beyond which a model is rejected; of 0, none."""
+    from scipy.special import chdtri
+
+    return np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANCE), np.inf)
+
+
 def check_metric(metric: str | None) -> None:
     """Raise `ConfigError` for a metric that is none."""
     if metric is not None and metric not in METRICS:

@@ -30,7 +30,7 @@ from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import SIGNIFICANCE, Problem
+from gonio_analysis.fitting.problem import Problem, acceptable
 
 if TYPE_CHECKING:
     from gonio.instrument import Rules
@@ -113,23 +113,21 @@ def _beyond(
 
     Where they do not, and the surface has more than one parameter, at the valleys of the profile over the width.
     """
-    from scipy.special import chdtri
-
     soft, goal = softened(few, COARSE_U), alone(few)
     shapes = [k for k, n in enumerate(problem.free) if problem.parameter(n).geometry]
     starts: dict[float, Floats] = {}
     for _, vector in sorted(candidates, key=lambda c: c[0]) if shapes else ():
         starts.setdefault(float(vector[shapes[0]]), vector)
     best, ends = (found if few is data else refine(problem, few, goal, found[0], quick=True)), [found[0]]
-    acceptable = 0.5 * float(chdtri(len(few) - best[0].size, SIGNIFICANCE))
+    limit = 0.5 * float(acceptable(len(few) - best[0].size))
     for vector in starts.values():
-        if best[1] <= acceptable:
+        if best[1] <= limit:
             break
         vector = refine(problem, few, soft, vector, quick=True, limit=SHORT)[0]
         if min(np.abs(vector - end).max() for end in ends) > APART:
             ends.append(vector)
             best = min(best, refine(problem, few, goal, vector, quick=True), key=lambda f: f[1])
-    if len(shapes) > 1 and best[1] <= acceptable:
+    if len(shapes) > 1 and best[1] <= limit:
         for vector in _valleys(problem, few, goal, best[0], shapes[0], [starts[w] for w in sorted(starts)]):
             best = min(best, refine(problem, few, goal, vector, quick=True), key=lambda f: f[1])
     if np.abs(best[0] - found[0]).max() <= APART:

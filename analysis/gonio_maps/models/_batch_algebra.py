@@ -7,6 +7,7 @@ imports at its first fit.
 from math import copysign, sqrt
 
 import numba
+from gonio_analysis.fitting import objective
 
 from gonio.compiled import counting
 from gonio.models import _math
@@ -22,6 +23,7 @@ inlined = numba.njit(inline="always", **OPTIONS)
 vectors = numba.njit(**options(), nogil=True, **counting(False))
 """For a loop over values without sums, which takes whole vectors."""
 log, per_root = jit(_math.log), jit(_math.per_root)
+smallest = called(objective.smallest)
 
 
 @viewing

@@ -16,9 +16,10 @@ from gonio_maps.models._batch_algebra import (
     on_scale,
     residuals,
     slopes_of_scale,
+    smallest,
     whitened_causes,
 )
-from gonio_maps.models._batch_loops import LINEAR_BELOW, REAL, WHOLE, seen_from, taken
+from gonio_maps.models._batch_loops import REAL, WHOLE, gathered, seen_from, taken
 from gonio_maps.models._batch_misfit import errors, estimated_tau
 from gonio_maps.models._batch_steps import DERIVE, SHADE, TAKE, by_differences, linearised, normal, shaded
 
@@ -29,7 +30,7 @@ GRAM, GRAM_OF_LOGARITHMS, TAU, ERRORS = range(4)
 @called
 def on_logarithms(z, own, tau, w, variance, count):  # type: ignore[no-untyped-def]
     """Values and weights on the scale of logarithms, as in `_batch_misfit.nearest`; `tau` is inf for equal weights."""
-    small = max(LINEAR_BELOW * np.median(np.abs(z[:count])), 1e-300)
+    small = smallest(z[:count])
     for j in range(count):
         variance[j] = (own[j] / sqrt(z[j] * z[j] + 4.0 * small * small)) ** 2
         z[j] = on_scale(z[j], small)
@@ -80,10 +81,7 @@ def examine(  # type: ignore[no-untyped-def]
             continue
         relative, block = np.empty((r, count)), np.empty((numbers.shape[0], count), np.int64)
         derivatives, causes = np.empty((k, count)), np.empty((r, count))
-        for j in range(count):
-            relative[:, j] = common[:, at[j]]
-            block[:, j] = numbers[:, at[j]]
-            source_of[:, j], camera_of[:, j] = source[:, at[j]], camera[:, at[j]]
+        gathered(at, count, source, camera, common, numbers, source_of, camera_of, relative, block)
         columns, f = packed[: count_of_columns * count], whole[:count]
         seen_from(x[p], y[p], source_of, camera_of, count, omega_i, omega_r)
         take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)

@@ -1,6 +1,6 @@
 """The compiled part of `gonio_maps.models.batch`: one pixel after the other, its directions, starts and fits.
 
-A model comes in as six compiled functions (`_batch_steps.SHADE` and its like), so that all this is compiled once for
+A model comes in as five compiled functions (`_batch_steps.SHADE` and its like), so that all this is compiled once for
 all models. Indices: j values, a parameters that move, c common causes, p pixels. numba is imported with this module,
 which `batch` imports at its first fit.
 """
@@ -14,12 +14,14 @@ from gonio.compiled import njit
 from gonio.models._compile import fingerprint
 from gonio_maps.models._batch_algebra import (
     OPTIONS,
+    called,
     copied,
     inverted,
     moments,
     on_scale,
     per_root,
     slope_moments,
+    smallest,
     sum_of,
     vectors,
     viewing,
@@ -28,17 +30,16 @@ from gonio_maps.models._batch_misfit import nearest
 from gonio_maps.models._batch_models import FREE_BASE, FREE_LEVELS, FREE_LOBE
 from gonio_maps.models._batch_scaled import ABOVE, scaled
 from gonio_maps.models._batch_steps import (
-    CONSTANTS,
     DERIVE,
     LEVELS,
     SHADE,
     TAKE,
     UNIT,
     by_differences,
+    difference,
     minimised,
     room_for,
 )
-from gonio_maps.models._batch_sums import moments_by_sums, room_for_sums, summed, walked
 
 FAR_VALLEY = 100.0
 """The second valley counts where its chi-square is at most this many times that of the first, plus this number."""
@@ -56,8 +57,6 @@ NARROWINGS = 3
 """Steps of the width alone, before all parameters are fitted."""
 FEWEST_OF_SOME = 25
 """Values that tell the start at least, where some of them do (`Batched.every`)."""
-LINEAR_BELOW = 0.05
-"""Part of the median value: below it the scale of logarithms is linear (`observations.LINEAR_BELOW`)."""
 
 
 @viewing
@@ -110,18 +109,15 @@ def weighed(z, w, weight, weighted, count):  # type: ignore[no-untyped-def]
 
 
 @viewing
-def judged(levels, how, by_sums, z, w, grid, starts, profile, weight, weighted, lobes, sums, turned, count):  # type: ignore[no-untyped-def]
+def judged(levels, how, z, w, grid, starts, profile, weight, weighted, lobes, count):  # type: ignore[no-untyped-def]
     """Parameters and chi-square of each row of the grid, into `starts` and `profile`.
 
     Where levels are solved for, the model is a lobe times a level and a base: both follow by linear least squares.
-    `lobes` has the lobes, row after row, or `by_sums` their constants.
+    `lobes` has the lobes, row after row.
     """
-    s0, sz, szz = (sums[0], sums[10], sums[14]) if by_sums else weighed(z, w, weight, weighted, count)
+    s0, sz, szz = weighed(z, w, weight, weighted, count)
     for row in range(grid.shape[0]):
-        if by_sums:
-            sg, sgg, sgz = moments_by_sums(sums, lobes[4 * row : 4 * row + 4], turned)
-        else:
-            sg, sgg, sgz = moments(lobes[row * count : row * count + count], weight, weighted, count)
+        sg, sgg, sgz = moments(lobes[row * count : row * count + count], weight, weighted, count)
         level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
         profile[row] = szz - gain
         start = starts[row]
@@ -190,20 +186,24 @@ def valleys(profile, widths):  # type: ignore[no-untyped-def]
 
 
 @viewing
-def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weight, weighted, lobe, g, d, trial, count):  # type: ignore[no-untyped-def]
+def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weights, room, count):  # type: ignore[no-untyped-def]
     """Brings the width of a start towards the lowest chi-square by Gauss-Newton steps, each with the best levels.
 
     That is variable projection (Golub and Pereyra 1973) with Kaufman's derivative: levels are taken out of the values
-    and of the derivative by linear least squares. `lobe` is that of the start; `g`, `d` and `trial` are changed.
+    and of the derivative by linear least squares.
     """
+    weight, weighted = weights
+    trial, trials, both = room[6], room[7][: 2 * start.size], room[9][: 2 * count]
+    g, d = both[:count], both[count:]
     s0, sz, best = sum_of(weight, count), sum_of(weighted, count), -np.inf
     copied(start, trial, 0, start.size)
-    how = unit(trial)
+    how, known = unit(trial), derive(columns[:0], start, width, columns[:0], columns[:0])
     for turn in range(NARROWINGS + 1):
-        if turn:
-            shade(columns, trial, 1, g)
-        else:
-            copied(lobe, g, 0, count)
+        step, sets = difference(trial[width], low, high), 1 if known or turn == NARROWINGS else 2
+        copied(trial, trials, 0, start.size)
+        copied(trial, trials, start.size, start.size)
+        trials[start.size + width] += step
+        shade(columns, trials[: sets * start.size], sets, both[: sets * count])
         sg, sgg, sgz = moments(g, weight, weighted, count)
         level, base, gain = levelled(how, s0, sz, sg, sgg, sgz)
         if not gain > best:
@@ -213,7 +213,9 @@ def narrowed(shade, derive, unit, levels, columns, start, width, low, high, weig
         levels(start, level, base)
         if turn == NARROWINGS:
             break
-        derive(columns, trial, width, g, d)
+        if derive(columns, trial, width, g, d) == 0:
+            for j in range(count):
+                d[j] = (d[j] - g[j]) / step
         sd, sdd, sgd, sdz = slope_moments(g, d, weight, weighted, count)
         if base > 0.0:
             sdd, sgd, sgg, sdz = sdd - sd * sd / s0, sgd - sg * sd / s0, sgg - sg * sg / s0, sdz - sd * sz / s0
@@ -258,9 +260,26 @@ def taken(values, u, z, own, w, at):  # type: ignore[no-untyped-def]
     return count, moved == 0
 
 
+@called
+def gathered(at, count, source, camera, common, numbers, source_of, camera_of, relative, block):  # type: ignore[no-untyped-def]
+    """What belongs to the values that `taken` packs."""
+    for j in range(count):
+        source_of[:, j], camera_of[:, j], relative[:, j] = source[:, at[j]], camera[:, at[j]], common[:, at[j]]
+        block[:, j] = numbers[:, at[j]]
+
+
+@called
+def thinned(z, w, omega_i, omega_r, step, some_z, some_w, few_i, few_r):  # type: ignore[no-untyped-def]
+    """One of `step` values, with its directions."""
+    for j in range(some_z.size):
+        some_z[j], some_w[j] = z[j * step], w[j * step]
+        few_i[3 * j : 3 * j + 3] = omega_i[3 * j * step : 3 * j * step + 3]
+        few_r[3 * j : 3 * j + 3] = omega_r[3 * j * step : 3 * j * step + 3]
+
+
 REAL, WHOLE = types.float64, types.int64
 RESULT = types.int64(
-    *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS, CONSTANTS)),
+    *(types.FunctionType(one) for one in (TAKE, SHADE, DERIVE, UNIT, LEVELS)),
     *(WHOLE, REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1]),
     *(WHOLE[::1], REAL[::1], REAL[::1], REAL[:, ::1], WHOLE, WHOLE[:, ::1], REAL[::1], WHOLE, WHOLE),
     *(REAL[::1], WHOLE[::1]),
@@ -269,8 +288,20 @@ RESULT = types.int64(
 
 
 @viewing
-def lower_of(found, best, end, theta, matrix, around, moves, triangle, spread):  # type: ignore[no-untyped-def]
-    """The lower chi-square of two; where it is that of `end`, this is brought into `theta`, `around` and `spread`."""
+def lowered(shade, derive, seen, box, kept, work, rooms, best):  # type: ignore[no-untyped-def]
+    """Least squares from `end` on: the lower chi-square of it and `best`, with its parameters, matrix and covariance.
+
+    `seen`: columns, values, weights and causes; `box`: what is free, and bounds; `kept`: the normal matrix, that of the
+    best, which parameters move, room, `end`, parameters and covariance of the best; `rooms`: `room_for` and the model.
+    """
+    columns, z, w, relative = seen
+    free, lower, upper = box
+    matrix, around, moves, triangle, end, theta, spread = kept
+    room, f = rooms
+    found = minimised(
+        shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room, z.size,
+        best, theta, around,
+    )  # fmt: skip
     if not found < best:
         return best
     copied(end, theta, 0, end.size)
@@ -281,54 +312,30 @@ def lower_of(found, best, end, theta, matrix, around, moves, triangle, spread): 
 
 
 @viewing
-def lowest(  # type: ignore[no-untyped-def]
-    shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid, axis, free, lower, upper,
-    acceptable, rows, of_grid, work, matrix, around, moves, triangle, end, theta, spread, rooms, count,
-):  # fmt: skip
-    """Chi-square of the lowest valley; its parameters in `theta`, their covariance in `spread`.
+def begun(shade, derive, unit, levels, columns, start, width, weights, box, rooms, end, count):  # type: ignore[no-untyped-def]
+    """A start with a better width where that is free, within bounds, into `end`."""
+    _, lower, upper = box
+    if width >= 0:
+        narrowed(
+            shade, derive, unit, levels, columns, start, width, lower[width], upper[width], weights, rooms[0], count
+        )
+    for a in range(end.size):
+        end[a] = min(max(start[a], lower[a]), upper[a])
 
-    `axis`: what `unit` tells, how many widths the grid has, which parameter the width is, or -1, whether all goes
-    `by_sums`, and the scales and the pair of parameters for `scaled`.
-    """
-    (how, widths, width, by_sums, scales, pair), (room, on_sums) = axis, rooms
-    # a call of more than 30 arguments makes numba warn
-    lobes, units, whole, shaded_rows, anew, starts, profile = of_grid
-    f, weight, weighted, sums, turned = rows[0, :count], rows[1], rows[2], on_sums[0], on_sums[4]
-    if by_sums:
-        summed(columns, z, w, count, sums)
-    judged(
-        levels, how, by_sums, some_z, some_w, grid, starts, profile, weight, weighted, lobes, sums, turned, some_z.size
-    )
-    for row in range(profile.size):
-        profile[row] *= count / some_z.size
-    if some_z.size < count and profile[lowest_row(profile, 0, 1)] < UNCLEAR * acceptable:
-        judged_again(
-            shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, anew, weight, weighted,
-            count,
-        )  # fmt: skip
+
+@viewing
+def by_valleys(  # type: ignore[no-untyped-def]
+    shade, derive, unit, levels, seen, box, kept, work, rooms, axis, grid, starts, profile, weights, acceptable,
+):  # fmt: skip
+    """Chi-square of the lowest valley of those that the profile over the grid shows."""
+    (_, widths, width, scales, pair), end, theta = axis, kept[4], kept[5]
     first, second = valleys(profile, widths)
-    best, found, which, times, close, more = np.inf, np.inf, first, CLOSE_VALLEY, CLOSE, FLAT
+    best, which, times, close, more = np.inf, first, CLOSE_VALLEY, CLOSE, FLAT
     while which >= 0:
         if best <= acceptable and profile[which] > max(times * best + 20.0, close):
             break
-        if width >= 0 and not by_sums:
-            narrowed(
-                shade, derive, unit, levels, columns, starts[which], width, lower[width], upper[width], weight,
-                weighted, lobes[which * count : which * count + count], f, work[0, :count], end, count,
-            )  # fmt: skip
-        for a in range(end.size):
-            end[a] = min(max(starts[which, a], lower[a]), upper[a])
-        if by_sums:
-            for values in (0, count):
-                found = walked(
-                    constants, columns, z, w, end, free, lower, upper, matrix, moves, triangle, on_sums, values
-                )
-        else:
-            found = minimised(
-                shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
-                count, best, theta, around,
-            )  # fmt: skip
-        best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
+        begun(shade, derive, unit, levels, seen[0], starts[which], width, weights, box, rooms, end, seen[1].size)
+        best = lowered(shade, derive, seen, box, kept, work, rooms, best)
         rough = scales.size and theta[pair[0]] > scales[1]
         if rough:
             times, close, more = NEAR_VALLEY, NEAR, NEARLY_FLAT
@@ -344,8 +351,16 @@ def lowest(  # type: ignore[no-untyped-def]
                     profile[row] = np.inf
         which = lowest_row(profile, 0, 1)  # the second valley, or one of another index or another sigma
         which = which if profile[which] < np.inf else -1
-    start = starts[0]
-    for a in range(free.size):  # a bound that a search ended on may hide the valley inside
+    return best
+
+
+@viewing
+def off_bounds(  # type: ignore[no-untyped-def]
+    shade, derive, unit, levels, seen, box, kept, work, rooms, axis, grid, start, weights, best,
+):  # fmt: skip
+    """`best`, or what is lower inside a bound that the search ended on."""
+    (free, lower, upper), width, end, theta = box, axis[2], kept[4], kept[5]
+    for a in range(free.size):
         if lower[free[a]] < theta[free[a]] < upper[free[a]]:
             continue
         for row in range(grid.shape[0]):
@@ -356,63 +371,96 @@ def lowest(  # type: ignore[no-untyped-def]
             if new:
                 copied(theta, start, 0, end.size)
                 start[free[a]] = value
-                copied(start, end, 0, end.size)
-                if width >= 0 and not by_sums:
-                    unit(end)
-                    shade(columns, end, 1, work[1, :count])
-                    narrowed(
-                        shade, derive, unit, levels, columns, start, width, lower[width], upper[width], weight,
-                        weighted, work[1, :count], f, work[0, :count], end, count,
-                    )  # fmt: skip
-                for b in range(end.size):
-                    end[b] = min(max(start[b], lower[b]), upper[b])
-                found = minimised(
-                    shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
-                    count, best, theta, around,
-                )  # fmt: skip
-                best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
-    if scales.size and (best > acceptable or theta[pair[0]] > scales[1]):
-        others, count_of_others, promised = scaled(
-            shade, derive, columns, z, w, relative, theta, free, lower, upper, around, best, found == best, scales,
-            pair, room, work, count,
-        )  # fmt: skip
-        for row in range(count_of_others):
-            if promised[row] < best + ABOVE:
-                copied(others[row], end, 0, end.size)
-                found = minimised(
-                    shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, f, work, matrix, moves, room,
-                    count, best, theta, around,
-                )  # fmt: skip
-                best = lower_of(found, best, end, theta, matrix, around, moves, triangle, spread)
+                begun(shade, derive, unit, levels, seen[0], start, width, weights, box, rooms, end, seen[1].size)
+                best = lowered(shade, derive, seen, box, kept, work, rooms, best)
     return best
 
 
+@viewing
+def lowest(  # type: ignore[no-untyped-def]
+    shade, derive, unit, levels, seen, some_z, some_w, box, kept, work, rooms, axis, grid, of_grid, weights, acceptable,
+):  # fmt: skip
+    """Chi-square of the lowest valley; its parameters and their covariance in `kept`, as of `lowered`.
+
+    `axis`: what `unit` tells, how many widths the grid has, which parameter the width is, or -1, and the scales and the
+    pair of parameters for `scaled`.
+    """
+    (columns, z, w, relative), (how, _, _, scales, pair), count = seen, axis, seen[1].size
+    lobes, units, whole, shaded_rows, anew, starts, profile = of_grid
+    weight, weighted = weights
+    judged(levels, how, some_z, some_w, grid, starts, profile, weight, weighted, lobes, some_z.size)
+    for row in range(profile.size):
+        profile[row] *= count / some_z.size
+    if some_z.size < count and profile[lowest_row(profile, 0, 1)] < UNCLEAR * acceptable:
+        judged_again(
+            shade, levels, columns, z, w, units, starts, how, profile, whole, shaded_rows, anew, weight, weighted,
+            count,
+        )  # fmt: skip
+    best = by_valleys(
+        shade, derive, unit, levels, seen, box, kept, work, rooms, axis, grid, starts, profile, weights, acceptable
+    )
+    best = off_bounds(shade, derive, unit, levels, seen, box, kept, work, rooms, axis, grid, starts[0], weights, best)
+    if scales.size and (best > acceptable or kept[5][pair[0]] > scales[1]):
+        others, count_of_others, promised = scaled(
+            shade, derive, columns, z, w, relative, kept[5], box, kept[1], best, scales, pair, rooms[0], work, count
+        )
+        for row in range(count_of_others):
+            if promised[row] < best + ABOVE:
+                copied(others[row], kept[4], 0, kept[4].size)
+                best = lowered(shade, derive, seen, box, kept, work, rooms, best)
+    return best
+
+
+@called
+def by_logarithms(shade, derive, seen, own, box, kept, work, rooms, block, critical, chi):  # type: ignore[no-untyped-def]
+    """A rejected model once more, by way of logarithms: where a narrow lobe lies beside the values, these lead to it.
+
+    Chi-square of the lower one and 0, or where that is rejected, too, the misfit of the nearest model.
+    """
+    columns, z, w, relative = seen
+    free, lower, upper = box
+    matrix, around, moves, _, end, theta, spread = kept
+    room, f = rooms
+    small, measured, logarithms, count = smallest(z), z.copy(), theta.copy(), z.size
+    for j in range(count):
+        z[j], w[j] = on_scale(measured[j], small), 1.0
+    minimised(
+        shade, derive, columns, z, w, small, relative[:0], logarithms, free, lower, upper, f, work, matrix, moves, room,
+        count, np.inf, end, around,
+    )  # fmt: skip
+    for j in range(count):
+        z[j], w[j] = measured[j], 1.0 / own[j]
+    copied(logarithms, end, 0, end.size)
+    chi = lowered(shade, derive, seen, box, kept, work, rooms, chi)
+    if chi <= critical:
+        return chi, 0.0
+    copied(logarithms, theta, 0, end.size)
+    tau = nearest(
+        shade, derive, columns, measured, own, z, w, small, relative, theta, free, lower, upper, f, work, block, spread,
+        moves, room, count,
+    )  # fmt: skip
+    return chi, tau
+
+
 def fit_pixels(  # type: ignore[no-untyped-def]
-    take, shade, derive, unit, levels, constants, count_of_columns, x, y, source, camera, values, u, common, free,
-    lower, upper, grid, widths, numbers, critical, every, width, scales, pair, theta, spread, chi, tau, used, start,
-    stop,
+    take, shade, derive, unit, levels, count_of_columns, x, y, source, camera, values, u, common, free, lower, upper,
+    grid, widths, numbers, critical, every, width, scales, pair, theta, spread, chi, tau, used, start, stop,
 ):  # fmt: skip
     """Fit pixels `start` to `stop`, one after the other; see `gonio_maps.models.batch.fit`."""
     n, k, r, size = values.shape[1], free.size, common.shape[0], grid.shape[1]
     omega_i, omega_r, packed = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
     z, w, own, at = np.empty(n), np.empty(n), np.empty(n), np.full(n, -1, np.int64)
     of_causes, of_blocks, rows = np.empty(r * n), np.empty(numbers.shape[0] * n, np.int64), np.empty((3, n))
-    work, starts, matrix = np.empty((k + r + 3, n)), np.empty((grid.shape[0], size)), np.empty((k, k))
-    triangle, moves, end, profile = np.empty((k, k)), np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
-    around = np.empty((k, k))
+    work, starts, square = np.empty((k + r + 3, n)), np.empty((grid.shape[0], size)), np.empty((3, k, k))
+    moves, end, profile = np.empty(k, np.bool_), np.empty(size), np.empty(grid.shape[0])
     whole, shaded_rows = np.empty(grid.shape[0] * n), np.zeros(grid.shape[0], np.int64)
     anew = np.empty(AGAIN, np.int64), np.empty(AGAIN * size), np.empty(AGAIN * n)
-    logarithms, measured, small = np.empty(size), z, 0.0
-    lobes, units, how, before = np.empty(grid.shape[0] * max(n, 4)), grid.copy(), 0, -1
+    lobes, units, how, before = np.empty(grid.shape[0] * n), grid.copy(), 0, -1
     few_i, few_r, few = np.empty(3 * n), np.empty(3 * n), np.empty(count_of_columns * n)
     few_z, few_w, source_of, camera_of = np.empty(n), np.empty(n), np.empty((3, n)), np.empty((3, n))
-    on_sums = room_for_sums(k, size)
-    by_sums = r == 0 and constants(lower, -1, on_sums[1]) == 1
     room = room_for(k, r, size, n, by_differences(derive, packed, free, lower, upper))
     for row in range(grid.shape[0]):
         how = unit(units[row])
-        if by_sums:
-            constants(units[row], -1, lobes[4 * row : 4 * row + 4])
     columns, relative, block = packed[:0], of_causes[:0].reshape((r, 0)), of_blocks[:0].reshape((numbers.shape[0], 0))
     for p in range(start, stop):
         count, same = taken(values[p], u[p], z, own, w, at)
@@ -423,65 +471,36 @@ def fit_pixels(  # type: ignore[no-untyped-def]
             columns = packed[: count_of_columns * count]
             relative = of_causes[: r * count].reshape((r, count))
             block = of_blocks[: numbers.shape[0] * count].reshape((numbers.shape[0], count))
-            for j in range(count):
-                source_of[:, j], camera_of[:, j], relative[:, j] = source[:, at[j]], camera[:, at[j]], common[:, at[j]]
-                block[:, j] = numbers[:, at[j]]
+            gathered(at, count, source, camera, common, numbers, source_of, camera_of, relative, block)
+        before = count if count > k else -1
         if count <= k:
-            before = -1
             continue
         fresh = not same or x[p] != x[p - 1] or y[p] != y[p - 1]
         if fresh:
             seen_from(x[p], y[p], source_of, camera_of, count, omega_i, omega_r)
             take(omega_i[: 3 * count], omega_r[: 3 * count], lower, columns)
-        before = count
         step = every if count >= FEWEST_OF_SOME * every else 1
         some, some_z, some_w = columns, z[:count], w[:count]
         if step > 1:
             m = (count + step - 1) // step
             some, some_z, some_w = few[: count_of_columns * m], few_z[:m], few_w[:m]
-            for j in range(m):
-                some_z[j], some_w[j] = z[j * step], w[j * step]
-                few_i[3 * j : 3 * j + 3] = omega_i[3 * j * step : 3 * j * step + 3]
-                few_r[3 * j : 3 * j + 3] = omega_r[3 * j * step : 3 * j * step + 3]
+            thinned(z, w, omega_i, omega_r, step, some_z, some_w, few_i, few_r)
             if fresh:
                 take(few_i[: 3 * m], few_r[: 3 * m], lower, some)
-        if fresh and not by_sums:
+        if fresh:
             shaded_rows[:] = 0
             shade(some, units.ravel(), grid.shape[0], lobes[: grid.shape[0] * some_z.size])
+        seen, box, rooms = (columns, z[:count], w[:count], relative), (free, lower, upper), (room, rows[0, :count])
+        kept = square[0], square[1], moves, square[2], end, theta[p], spread[p]
         chi[p] = lowest(
-            shade, derive, unit, levels, constants, columns, z, w, some_z, some_w, relative, grid,
-            (how, widths, width, by_sums, scales, pair), free, lower, upper, critical[count], rows,
-            (lobes, units, whole, shaded_rows, anew, starts, profile), work, matrix, around, moves, triangle, end,
-            theta[p], spread[p], (room, on_sums), count,
+            shade, derive, unit, levels, seen, some_z, some_w, box, kept, work, rooms,
+            (how, widths, width, scales, pair), grid, (lobes, units, whole, shaded_rows, anew, starts, profile),
+            (rows[1], rows[2]), critical[count],
         )  # fmt: skip
         if chi[p] > critical[count]:
-            # where a narrow lobe lies beside the values, their logarithms lead towards it
-            small = max(LINEAR_BELOW * np.median(np.abs(z[:count])), 1e-300)
-            measured = z[:count].copy()
-            for j in range(count):
-                z[j], w[j] = on_scale(measured[j], small), 1.0
-            copied(theta[p], logarithms, 0, size)
-            minimised(
-                shade, derive, columns, z, w, small, relative[:0], logarithms, free, lower, upper, rows[0, :count],
-                work, matrix, moves, room, count, np.inf, end, around,
-            )  # fmt: skip
-            for j in range(count):
-                z[j], w[j] = measured[j], 1.0 / own[j]
-            copied(logarithms, end, 0, size)
-            found = minimised(
-                shade, derive, columns, z, w, 0.0, relative, end, free, lower, upper, rows[0, :count], work,
-                matrix, moves, room, count, chi[p], theta[p], around,
-            )  # fmt: skip
-            if found < chi[p]:
-                chi[p] = found
-                copied(end, theta[p], 0, size)
-                inverted(matrix, moves, triangle, spread[p])
-        if chi[p] > critical[count]:
-            copied(logarithms, theta[p], 0, size)
-            tau[p] = nearest(
-                shade, derive, columns, measured, own[:count], z[:count], w[:count], small, relative, theta[p], free,
-                lower, upper, rows[0, :count], work, block, spread[p], moves, room, count,
-            )  # fmt: skip
+            chi[p], tau[p] = by_logarithms(
+                shade, derive, seen, own[:count], box, kept, work, rooms, block, critical[count], chi[p]
+            )
     return 0
 
 

@@ -3,6 +3,7 @@
 from math import copysign, sqrt
 
 import numpy as np
+from gonio_analysis.fitting.misfit import LARGEST, LEAST_LEFT, SETTLED, SMALLEST, TURNS
 
 from gonio_maps.models._batch_algebra import (
     called,
@@ -18,15 +19,8 @@ from gonio_maps.models._batch_algebra import (
 )
 from gonio_maps.models._batch_steps import MOST_STEPS, linearised, minimised, shaded
 
-TURNS = 8
-"""Times that parameters and misfit are found in turn, at most."""
-LEAST_TAU = 1e-12
-LOWEST, HIGHEST = -27.6, 6.9
-"""Limits between which ln tau is sought."""
 TOGETHER = 8
 """Factors whose product has one logarithm; each lies between 1e-30 and 1e30."""
-LEAST_LEFT = 1e-3
-"""Part of what is known of a parameter that is left without a block, at least (`misfit.block_spread`)."""
 
 
 @called
@@ -73,9 +67,9 @@ def unlikely(log_tau, variance, raw, plain, relative, f, slope, causes, inner, t
 @called
 def estimated_tau(before, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count):  # type: ignore[no-untyped-def]
     """The misfit that makes residuals most probable: parabolas through three ln tau, from one or their scatter on."""
-    x, width = log(max(before, LEAST_TAU)), 0.01
+    x, width = log(max(before, SMALLEST)), 0.01
     if before == 0.0:
-        x, width = 0.5 * log(max(dot(raw, raw, count) / count, LEAST_TAU * LEAST_TAU)), 0.25
+        x, width = 0.5 * log(max(dot(raw, raw, count) / count, SMALLEST * SMALLEST)), 0.25
     here = unlikely(x, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
     for _ in range(MOST_STEPS):
         below = unlikely(x - width, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
@@ -83,7 +77,7 @@ def estimated_tau(before, variance, raw, plain, relative, f, slope, causes, inne
         bend = below + above - 2.0 * here
         step = 0.5 * width * (below - above) / bend if bend > 0.0 else copysign(1.0, below - above)
         step = min(max(step, -1.0), 1.0)
-        if x + step < LOWEST or x + step > HIGHEST:
+        if not log(SMALLEST) < x + step < log(LARGEST):
             break
         x += step
         if abs(step) < 1e-4:
@@ -215,7 +209,7 @@ def nearest(  # type: ignore[no-untyped-def]
         residuals(f, z, raw_w, small, raw, count)
         before = tau
         tau = estimated_tau(before, variance, raw, plain, relative, f, slope, causes, inner, triangle, work, count)
-        if turn and abs(log(tau / before)) < 1e-3:
+        if turn and abs(log(tau / before)) < SETTLED:
             break
         for j in range(count):
             w[j] = 1.0 / sqrt(variance[j] + tau * tau)

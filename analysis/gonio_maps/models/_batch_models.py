@@ -2,19 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf, pi, sqrt
+from math import pi, sqrt
 from typing import Any
 
 import numpy as np
 
 from gonio.models import _htsg_kernels, ggx
-from gonio.models._compile import device, of_columns, with_others
-from gonio.models._facets import by_cosines, by_sxy2, by_tan2, fresnel, fresnel_real
-from gonio.models._math import _LOG2_E, exp2
+from gonio.models._compile import device, with_others
+from gonio.models._facets import fresnel, index_constants
+from gonio.models._htsg_kernels import surface_constants
 from gonio.models.blinn import _BRDFS
 from gonio.models.cook_torrance import _KERNELS as COOK_TORRANCE
+from gonio.models.cook_torrance import beckmann_slope
 from gonio.models.engine import Kernel
-from gonio.models.oren_nayar import functional
+from gonio.models.ggx import lobe_constants
+from gonio.models.oren_nayar import functional, functional_constants
 
 FREE_LEVELS, FREE_BASE, FREE_LOBE = 1, 2, 3
 """What of a model's levels follows by linear least squares: both, that of the base, that of the lobe."""
@@ -24,17 +26,17 @@ FREE_LEVELS, FREE_BASE, FREE_LOBE = 1, 2, 3
 
 
 @device
-def fresnel_terms(n, k):  # type: ignore[no-untyped-def]
-    """`_facets.fresnel_constants`."""
-    contrast = ((n - 1.0) * (n - 1.0) + k * k) * ((n + 1.0) * (n + 1.0) + k * k)
-    return contrast, (n - 1.0) * (n + 1.0) - k * k, n * k
+def fresnel_reflectance(s2, p):  # type: ignore[no-untyped-def]
+    """`fresnel` of |s|^2 = 4 cos^2(theta)."""
+    up, down = fresnel(0.25 * s2, p[0], p[1], p[2])
+    return up / down
 
 
 @device
 def cook_constants(t):  # type: ignore[no-untyped-def]
     """s, m, diffuse_albedo, ior, k; d = 1 - s."""
-    contrast, real, imag = fresnel_terms(t[3], t[4])
-    return (1.0 - t[0]) * t[2] / pi, contrast, real, imag, -_LOG2_E / (t[1] * t[1]), t[0] / (pi * t[1] * t[1])
+    base = ((1.0 - t[0]) * t[2] / pi,)
+    return base + index_constants(t[3], t[4]) + beckmann_slope(t[1], t[0] / pi)
 
 
 @device
@@ -58,15 +60,13 @@ def beckmann_bend(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
 
 @device
 def cook_fold(tan2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    """What `cook_torrance.beckmann` has of the directions and a known index, besides the Gaussian."""
-    f_up, f_down = fresnel(0.25 * s2, p[0], p[1], p[2])
-    return (1.0 + tan2) * (1.0 + tan2) * (sz * f_up) / (f_down * g)
+    return 4.0 * fresnel_reflectance(s2, p)
 
 
-@of_columns(by_tan2, 4)
-def cook_folded(tan2, folded, sz, g, p):  # type: ignore[no-untyped-def]
-    d = p[5] * exp2(tan2 * p[4])
-    return p[0] + (d * folded if d > 0.0 else 0.0)
+@device
+def its_cosine(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
+    """Stands for `fresnel` where its reflectance stands for cos^2."""
+    return c2, 1.0
 
 
 @device
@@ -84,9 +84,7 @@ def cook_levels(t, level, base):  # type: ignore[no-untyped-def]
 @device
 def ggx_constants(t):  # type: ignore[no-untyped-def]
     """alpha, diffuse_albedo, ior, k."""
-    contrast, real, imag = fresnel_terms(t[2], t[3])
-    a2 = t[0] * t[0]
-    return t[1] / pi, 0.5 / (pi * a2), contrast, real, imag, a2
+    return lobe_constants(t[0], t[0], t[1], t[2], t[3]) + (t[0] * t[0],)  # noqa: RUF005 - numba adds tuples
 
 
 @device
@@ -108,20 +106,15 @@ def smith_bend(sxy2, s2, lz, vz, p):  # type: ignore[no-untyped-def]
 
 
 @device
-def ggx_fold(sxy2, s2, lz, vz, p):  # type: ignore[no-untyped-def]
-    f_up, f_down = fresnel(0.25 * s2, p[0], p[1], p[2])
-    return s2 * s2 * f_up / f_down
+def lobe_fold(variable, s2, third, fourth, p):  # type: ignore[no-untyped-def]
+    """Of a lobe that has |s|^4 F."""
+    return s2 * sqrt(fresnel_reflectance(s2, p))
 
 
-@of_columns(by_cosines, 4)
-def ggx_folded(sxy2, folded, lz, vz, p):  # type: ignore[no-untyped-def]
-    """`ggx.isotropic` with F inside the second column."""
-    a2, sz = p[5], lz + vz
-    lt2, vt2 = (1.0 - lz) * (1.0 + lz), (1.0 - vz) * (1.0 + vz)
-    smith = vz * sqrt(lz * lz + a2 * lt2) + lz * sqrt(vz * vz + a2 * vt2)
-    root = sxy2 * (1.0 / a2) + sz * sz
-    value = p[0] + p[1] * folded / (root * root * smith)
-    return value if value < 1e60 else inf
+@device
+def whole(c2, contrast, real, imag):  # type: ignore[no-untyped-def]
+    """Stands for `fresnel` where |s|^2 has it."""
+    return 1.0, 1.0
 
 
 @device
@@ -144,8 +137,7 @@ def base_levels(t, level, base):  # type: ignore[no-untyped-def]
 @device
 def blinn_constants(t):  # type: ignore[no-untyped-def]
     """k_s, k_d, c, ior, k."""
-    contrast, real, imag = fresnel_terms(t[3], t[4])
-    return t[1] / pi, t[0] / pi, t[2], contrast, real, imag
+    return (t[1] / pi, t[0] / pi, t[2]) + index_constants(t[3], t[4])  # noqa: RUF005 - numba adds tuples
 
 
 @device
@@ -154,30 +146,6 @@ def blinn_affine(t, at):  # type: ignore[no-untyped-def]
     if at == 0 and t[0] > 1e-6:
         return 1.0 / t[0], -t[1] / (pi * t[0]), True
     return 0.0, 1.0 / pi, at == 1
-
-
-@device
-def blinn_bend(t, at):  # type: ignore[no-untyped-def]
-    """d ln lobe / d c = 4 |s_xy|^2/(c (c^2 s_z^2 + |s_xy|^2)), of D3."""
-    return t[1] / pi, (t[2] * t[2], 4.0 / t[2]), at == 2
-
-
-@device
-def trowbridge_bend(sxy2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    return p[1] * sxy2 / (p[0] * (sz * sz) + sxy2)
-
-
-@device
-def blinn_fold(sxy2, s2, sz, g, p):  # type: ignore[no-untyped-def]
-    f_up, f_down = fresnel(0.25 * s2, p[0], p[1], p[2])
-    return s2 * s2 * sz * f_up / (f_down * g)
-
-
-@of_columns(by_sxy2, 4)
-def blinn_folded(sxy2, folded, sz, g, p):  # type: ignore[no-untyped-def]
-    """`blinn.brdf_d3` with all but k_s and D3's root inside the second column."""
-    root = sz * sz + sxy2 * (1.0 / (p[2] * p[2]))
-    return p[0] + (p[1] * folded / (root * root) if p[1] > 0.0 else 0.0)
 
 
 @device
@@ -194,35 +162,7 @@ def blinn_levels(t, level, base):  # type: ignore[no-untyped-def]
 @device
 def grooves_constants(t):  # type: ignore[no-untyped-def]
     """albedo, sigma_deg."""
-    sigma = t[1] * (pi / 180.0)
-    s2, once = sigma * sigma, t[0] / pi
-    narrow = s2 / (s2 + 0.09)
-    return (
-        once * (1.0 - 0.5 * s2 / (s2 + 0.33)),
-        once * 0.45 * narrow,
-        once * 0.125 * narrow,
-        0.17 * t[0] * once * s2 / (s2 + 0.13),
-    )
-
-
-@device
-def grooves_bend(t, at):  # type: ignore[no-untyped-def]
-    """d f / d parameter: the model with other constants."""
-    sigma, once = t[1] * (pi / 180.0), 1.0 / pi
-    s2 = sigma * sigma
-    if at == 0:
-        narrow, wide = s2 / (s2 + 0.09), s2 / (s2 + 0.13)
-        p = (
-            once * (1.0 - 0.5 * s2 / (s2 + 0.33)),
-            once * 0.45 * narrow,
-            once * 0.125 * narrow,
-            0.34 * t[0] * once * wide,
-        )
-        return -1.0, p, True
-    turn, level = 2.0 * sigma * (pi / 180.0), t[0] * once
-    low, steep, twice = s2 + 0.33, s2 + 0.09, s2 + 0.13
-    narrow, wide = level * turn * 0.09 / (steep * steep), t[0] * level * turn * 0.13 / (twice * twice)
-    return -1.0, (-0.5 * level * turn * 0.33 / (low * low), 0.45 * narrow, 0.125 * narrow, 0.17 * wide), True
+    return functional_constants(t[0], t[1] * (pi / 180.0), 1.0)
 
 
 @device
@@ -245,21 +185,8 @@ def grooves_levels(t, level, base):  # type: ignore[no-untyped-def]
 @device
 def waves_constants(t):  # type: ignore[no-untyped-def]
     """sigma0_um, diffuse_albedo, tau_um, ior, k, then k0 [rad/um] and the tier of the series."""
-    phase, width = (t[5] * t[0]) * (t[5] * t[0]), (t[5] * t[2]) * (t[5] * t[2])
-    contrast, real, imag = fresnel_terms(t[3], t[4])
-    return (
-        t[1] / pi,
-        phase * width / (16.0 * pi),
-        phase,
-        0.25 * width,
-        t[2] / (2.0 * t[0]),
-        0.0,
-        contrast,
-        real,
-        imag,
-        t[6],
-        0.0,
-    )
+    surface, index = surface_constants(t[5], t[0], t[2]), index_constants(t[3], t[4])
+    return (t[1] / pi,) + surface + (0.0,) + index + (t[6], 0.0)  # noqa: RUF005 - numba adds tuples
 
 
 @dataclass(frozen=True)
@@ -280,26 +207,27 @@ class Batched:
     """Sets parameters from a level and a base [1/sr]."""
     grid: tuple[tuple[str, tuple[float, ...]], ...]
     """Starts: every combination; the last one is the width whose valleys are told apart."""
-    linear: bool = False
-    """Whether the model is 1 and its kernel's three columns times the constants, and `bend` tells their derivatives."""
     every: int = 1
     """Step through the values that starts are found from: 4 takes every fourth."""
     own: Callable[[float], tuple[float, ...]] = lambda wavelength_nm: ()
     """Numbers behind the parameters, for a wavelength [nm]."""
-    bend: tuple[Callable[..., Any], Kernel, int] | None = None
-    """Parameters and which of them -> base, constants, and whether the derivative is known; a kernel with that
-    number of constants gives d ln(f - base), or d f where base < 0. Others are taken by differences."""
     scaled: tuple[str, ...] = ()
     """The two parameters that change little where both are scaled (`_batch_scaled`). `own` begins with the factor that
     turns the first one into a number of `SCALES`."""
-    fold: tuple[Kernel, Kernel] | None = None
-    """For a known index: what takes the second column's place, of columns and Fresnel's constants; and the kernel."""
+    bend: tuple[Callable[..., Any], Kernel, int] | None = None
+    """Parameters and which of them -> base, constants, and whether the derivative is known; a kernel with that
+    number of constants gives d ln(f - base). Others are taken by differences, which take a pixel 1.3 times as long."""
+    fold: tuple[Callable[..., Any], Callable[..., Any]] | None = None
+    """For a known index: what takes the place of the second column, of columns and Fresnel's constants, and what takes
+    that of `fresnel` in the kernel then."""
 
 
-def without_absorption(kernel: Kernel) -> Kernel:
-    """The same for k = 0, with a root less; He-Torrance's has it inside."""
+def with_fresnel(kernel: Kernel, other: Callable[..., Any]) -> Kernel:
+    """The same with another function in the place of `fresnel`; He-Torrance's has it inside."""
     return (
-        with_others(kernel, f"{kernel.__name__}_k0", {fresnel: fresnel_real}) if "columns" in vars(kernel) else kernel
+        with_others(kernel, f"{kernel.__name__}_{other.__name__}", {fresnel: other})
+        if "columns" in vars(kernel)
+        else kernel
     )
 
 
@@ -320,22 +248,21 @@ MODELS = {
     "cook-torrance": Batched(
         ("s", "m", "diffuse_albedo", "ior", "k"), COOK_TORRANCE["beckmann", "exact"], 6, cook_constants, cook_affine,
         cook_unit, cook_levels, (INDICES, ("m", _spread(0.02, 1.0, 12))),
-        bend=(cook_bend, beckmann_bend, 2), fold=(cook_fold, cook_folded),
+        bend=(cook_bend, beckmann_bend, 2), fold=(cook_fold, its_cosine),
     ),
     "ggx": Batched(
         ("alpha", "diffuse_albedo", "ior", "k"), ggx.isotropic, 6, ggx_constants, base_affine, base_unit, base_levels,
         (("ior", (1.3, 1.6, 3.0, 20.0)), ("alpha", _spread(0.01, 0.9, 12))),
-        bend=(ggx_bend, smith_bend, 2), fold=(ggx_fold, ggx_folded),
+        bend=(ggx_bend, smith_bend, 2), fold=(lobe_fold, whole),
     ),
     "blinn": Batched(
         ("k_s", "k_d", "c", "ior", "k"), _BRDFS["trowbridge-reitz"], 6, blinn_constants, blinn_affine, blinn_unit,
         blinn_levels, (INDICES, ("c", _spread(0.02, 0.9, 12))),
-        bend=(blinn_bend, trowbridge_bend, 2), fold=(blinn_fold, blinn_folded),
+        fold=(lobe_fold, whole),
     ),
     "oren-nayar": Batched(
         ("albedo", "sigma_deg"), functional, 4, grooves_constants, nothing_affine, grooves_unit, grooves_levels,
-        (("sigma_deg", (2.0, 10.0, 20.0, 30.0, 45.0)),), bend=(grooves_bend, functional, 4),
-        linear=True,
+        (("sigma_deg", (2.0, 10.0, 20.0, 30.0, 45.0)),),
     ),
     "he-torrance": Batched(
         ("sigma0_um", "diffuse_albedo", "tau_um", "ior", "k"), _htsg_kernels.lobe_state, 11, waves_constants,

@@ -18,15 +18,39 @@ REACH = 2.5
 
 
 @called
+def promising(theta, box, pair, place, found, step, own, promised, part, best, starts):  # type: ignore[no-untyped-def]
+    """`starts` between neighbouring scales, `part` of the way, and what `scaled` returns."""
+    (free, lower, upper), (first, second) = box, (pair[0], pair[1])
+    chi, count_of_starts = np.empty(place.size), 0
+    for a in range(place.size - 1):
+        chi_here = promised[a + 1]
+        beside = a == found or a + 1 == found
+        same = promised[a] <= chi_here > own[a] - HUMP or promised[a + 2] < chi_here > own[a + 1] - HUMP
+        if chi_here < best + (-BELOW if beside else ABOVE) and not same:
+            start, turn = starts[count_of_starts], part[a]
+            start[:] = theta
+            for b in range(free.size):
+                start[free[b]] += (1.0 - turn) * step[a, b] + turn * step[a + 1, b]
+            scale = place[a] ** (1.0 - turn) * place[a + 1] ** turn
+            start[second] *= scale / theta[first]
+            start[first] = scale
+            for b in range(free.size):
+                start[free[b]] = min(max(start[free[b]], lower[free[b]]), upper[free[b]])
+            chi[count_of_starts] = chi_here
+            count_of_starts += 1
+    return starts, count_of_starts, chi
+
+
+@called
 def scaled(  # type: ignore[no-untyped-def]
-    shade, derive, columns, z, w, relative, theta, free, lower, upper, around, best, at_end, scales, pair, room,
-    work, count,
+    shade, derive, columns, z, w, relative, theta, box, around, best, scales, pair, room, work, count,
 ):  # fmt: skip
     """Starts in other valleys, one a row, how many there are, and the chi-square that each promises.
 
     `pair` are the parameters that scale; `scales` are values of the first one. `around` is the normal matrix at
-    `theta`, and with `at_end` the derivatives in `work` are those of `theta`.
+    `theta`.
     """
+    free, lower, upper = box
     k, r, size, first, second = free.size, relative.shape[0], theta.size, pair[0], pair[1]
     derivatives, causes = work[:k], work[k : k + r]
     triangle, inner, differs = room[0], room[1], room[10]
@@ -40,14 +64,13 @@ def scaled(  # type: ignore[no-untyped-def]
         sets[a] = theta
         sets[a, first] = place[a]
         sets[a, second] = theta[second] * (place[a] / theta[first])
-    if not at_end:
-        values, slope = room[8], np.ones(count)
-        shaded(shade, columns, theta, free, lower, upper, differs, room[7], values, count)
-        linearised(
-            shade, derive, columns, theta, values, w, slope, free, lower, upper, differs, room[7], derivatives, count
-        )
-        if r:
-            whitened_causes(relative, values, w, slope, causes, inner, count)
+    values, slope = room[8], np.ones(count)
+    shaded(shade, columns, theta, free, lower, upper, differs, room[7], values, count)
+    linearised(
+        shade, derive, columns, theta, values, w, slope, free, lower, upper, differs, room[7], derivatives, count
+    )
+    if r:
+        whitened_causes(relative, values, w, slope, causes, inner, count)
     misses, whole, moves = np.empty((nodes, count)), np.empty(nodes * count), np.empty(k, np.bool_)
     shade(columns, sets.ravel(), nodes, whole)
     for a in range(k):
@@ -73,21 +96,4 @@ def scaled(  # type: ignore[no-untyped-def]
         bend = own[a] + own[a + 1] - 2.0 * mixed
         part[a] = min(max((own[a] - mixed) / bend, 0.0), 1.0) if bend > 0.0 else 0.0
         promised[a + 1] = own[a] - part[a] * (2.0 * (own[a] - mixed) - part[a] * bend)
-    starts, chi, count_of_starts = sets, np.empty(nodes), 0
-    for a in range(nodes - 1):
-        chi_here = promised[a + 1]
-        beside = a == found or a + 1 == found
-        same = promised[a] <= chi_here > own[a] - HUMP or promised[a + 2] < chi_here > own[a + 1] - HUMP
-        if chi_here < best + (-BELOW if beside else ABOVE) and not same:
-            start, turn = starts[count_of_starts], part[a]
-            start[:] = theta
-            for b in range(k):
-                start[free[b]] += (1.0 - turn) * step[a, b] + turn * step[a + 1, b]
-            scale = place[a] ** (1.0 - turn) * place[a + 1] ** turn
-            start[second] *= scale / theta[first]
-            start[first] = scale
-            for b in range(k):
-                start[free[b]] = min(max(start[free[b]], lower[free[b]]), upper[free[b]])
-            chi[count_of_starts] = chi_here
-            count_of_starts += 1
-    return starts, count_of_starts, chi
+    return promising(theta, box, pair, place, found, step, own, promised, part, best, sets)

@@ -28,19 +28,16 @@ UNIT = types.int64(ROW)
 """Sets the levels among the parameters to 1 and 0; tells what of them follows by linear least squares."""
 LEVELS = types.int64(ROW, types.float64, types.float64)
 """Sets parameters from the level of a lobe and from a base [1/sr]."""
-CONSTANTS = types.int64(ROW, types.int64, ROW)
-"""Parameters, -1 or which of them -> 1 and the constants of a model that is linear in its columns, or their
-derivatives; 0 for other models."""
 
-STEP = 1e-6
-"""Relative step of a parameter for a derivative by differences: its error is 1e-6 of the derivative."""
+STEP = 1e-7
+"""Relative step of a parameter for a derivative by differences: its error is 1e-7 of the derivative."""
 SETTLED = 1e-8
-"""Decrease of chi-square that a last step would bring: it is then shorter than 1e-4 standard errors."""
+"""Decrease of chi-square by the last step, at most: it is shorter than 1e-4 standard errors, and not judged."""
 MOST_STEPS, MOST_TRIALS = 1500, 12
 """Levels and an index may replace each other along a bent valley of 500 steps and more."""
 FIRST_DAMPING = 1e-3
 NEAR_BOUND = 1e-4
-"""Part of a parameter's range."""
+"""Part of a parameter's range; a last step is shorter."""
 SAME_VALLEY = 0.1
 """Squared distance, in standard errors, from a minimum that is known: what is above it and as near leads to it."""
 
@@ -136,8 +133,8 @@ def normal(derivatives, residual, causes, inner, other, of_causes, matrix, right
 
 @called
 def room_for(k, r, size, n, differs):  # type: ignore[no-untyped-def]
-    """Memory that `minimised` works in, for all its calls."""
-    sets = 1 + differs.sum()
+    """Memory that `minimised` and `narrowed` work in, for all their calls."""
+    sets = 1 + max(differs.sum(), 1)
     return (
         np.empty((k, k)), np.empty((r, r)), np.empty(k), np.empty(k), np.empty((k, r)), np.empty(r), np.empty(size),
         np.empty(sets * size), np.empty(sets * n), np.empty(sets * n), differs,
@@ -188,11 +185,17 @@ def minimised(  # type: ignore[no-untyped-def]
         ended = True
         for _ in range(MOST_TRIALS):
             solve(matrix, right, moves, damping, triangle, step)
-            if dot(step, right, k) < SETTLED:
-                break
             copied(theta, new, 0, theta.size)
+            short = True
             for a in range(k):
-                new[free[a]] = toward(theta[free[a]], step[a], lower[free[a]], upper[free[a]])
+                at = free[a]
+                new[at] = toward(theta[at], step[a], lower[at], upper[at])
+                inside = lower[at] < new[at] < upper[at] and abs(step[a]) < NEAR_BOUND * (upper[at] - lower[at])
+                short = short and (inside or step[a] == 0.0)
+            if dot(step, right, k) < SETTLED:
+                if short:  # the end does not depend on the way there
+                    copied(new, theta, 0, theta.size)
+                break
             shaded(shade, columns, new, free, lower, upper, differs, trials, tried, count)
             if missed(tried, z, w, small, r, causes, inner, residual, other, count) <= chi:
                 copied(new, theta, 0, theta.size)

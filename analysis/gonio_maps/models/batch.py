@@ -18,8 +18,9 @@ there the model is taken at up to twelve sigma0, and valleys between them are fi
 that ended on a bound is sought again from the grid's values inside: few directions on a narrow lobe let an index run
 away. A model that is still rejected is fitted to logarithms, and from there once more to the values.
 
-Oren-Nayar is linear in columns of the directions: without common causes its steps go on 15 sums over the values, and
-the values tell where they end (`_batch_sums`).
+Derivatives are differences of the model's own kernel, but that by the width of Cook-Torrance and GGX, where a formula
+saves a quarter of the time; the model is linear in its levels, so theirs follow from its value. A last step, shorter
+than those ten-thousandths, is taken without a look, so that the end does not depend on the way there.
 """
 
 import functools
@@ -30,14 +31,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gonio_analysis.fitting.problem import SIGNIFICANCE
+from gonio_analysis.fitting.problem import acceptable
 
 from gonio.errors import ConfigError
 from gonio.models import _loops, engine
 from gonio.models._compile import fingerprint, jit, loop
+from gonio.models._facets import fresnel_real, index_constants
 from gonio.models.engine import Kernel
 from gonio.typing import Floats
-from gonio_maps.models._batch_models import MODELS, ROUGH_TIER, SCALES, Batched, fresnel_terms, without_absorption
+from gonio_maps.models._batch_models import MODELS, ROUGH_TIER, SCALES, Batched, with_fresnel
 
 WORTH = 64
 """Pixels that are worth a thread of their own."""
@@ -115,33 +117,31 @@ def fit(
     ConfigError
         The model or a parameter is unknown.
     """
-    from gonio_maps.models import _batch_loops
-
     posed = pose(name, x_mm, y_mm, source_mm, camera_mm, values, u, common, fixed, blocks, wavelength_nm)
-    grid, widths = _grid(posed.model, posed.known, posed.own)
+    grid, widths, *of_starts = _starts(posed)
     pixels, n = values.shape
     out = Fits(
         posed.model.names, posed.free, np.empty((pixels, posed.lower.size)),
         np.empty((pixels, len(posed.free), len(posed.free))), np.empty(pixels), np.empty(pixels),
         np.empty(pixels, np.int64),
     )  # fmt: skip
-    run = _batch_loops.engine()
-    width = posed.model.names.index(posed.model.grid[-1][0]) if posed.model.grid[-1][0] in posed.free else -1
-    pair = np.array([posed.model.names.index(one) for one in posed.model.scaled], np.int64)
-    scales = (
-        np.array(SCALES) / posed.own[0] if pair.size and set(posed.model.scaled) <= set(posed.free) else np.empty(0)
-    )
+    run = _engine()
     engine.in_parts(
         lambda start, stop: run(
             *posed.compiled, *posed.given, posed.common, posed.which, posed.lower, posed.upper, grid, widths,
-            posed.blocks, _critical(n, len(posed.free)), posed.model.every, width, scales, pair, out.values,
-            out.covariance, out.chi_square, out.tau, out.used, start, stop,
+            posed.blocks, _critical(n, len(posed.free)), posed.model.every, *of_starts, out.values, out.covariance,
+            out.chi_square, out.tau, out.used, start, stop,
         ),
-        pixels,
-        WORTH,
-        threads,
+        pixels, WORTH, threads,
     )  # fmt: skip
     return replace(out, values=out.values[:, : len(out.names)])
+
+
+def _engine() -> Callable[..., Any]:
+    """`_batch_loops.engine`: numba is imported with it."""
+    from gonio_maps.models import _batch_loops
+
+    return _batch_loops.engine()  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,10 @@ def _bounds(
     return lower, upper
 
 
-def _grid(model: Batched, known: dict[str, float], own: Sequence[float]) -> tuple[Floats, int]:
-    """Rows of parameters to start from, the width fastest, and how many widths there are."""
+def _starts(posed: Posed) -> tuple[Floats, int, int, Floats, npt.NDArray[np.int64]]:
+    """Rows of parameters to start from, the width fastest; how many widths there are; which parameter the width is, or
+    -1 where it is known or none; and the scales and the pair of parameters for `_batch_scaled`."""
+    model, known, own = posed.model, posed.known, posed.own
     axes = [(one, (known[one],) if one in known else values) for one, values in model.grid]
     rows = []
     for chosen in product(*(values for _, values in axes)):
@@ -209,16 +211,16 @@ def _grid(model: Batched, known: dict[str, float], own: Sequence[float]) -> tupl
         if "slope" in start:
             start["tau_um"] = known.get("tau_um", 2.0 * start["sigma0_um"] / start["slope"])
         rows.append([start[one] for one in model.names] + list(own[:-1]) + [ROUGH_TIER] * bool(own))
-    return np.array(rows), len(axes[-1][1])
+    name, widths = axes[-1]
+    pair = np.array([model.names.index(one) for one in model.scaled], np.int64)
+    scales = np.array(SCALES) / own[0] if pair.size and set(model.scaled) <= set(posed.free) else np.empty(0)
+    return np.array(rows), len(widths), model.names.index(name) if name in posed.free else -1, scales, pair
 
 
 @functools.lru_cache(maxsize=16)
 def _critical(n: int, free: int) -> Floats:
-    """Chi-square beyond which a model is rejected, by the number of values."""
-    from scipy.special import chdtri
-
-    freedom = np.arange(n + 1) - free
-    return np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANCE), np.inf)
+    """`acceptable`, by the number of values."""
+    return np.asarray(acceptable(np.arange(n + 1) - free))
 
 
 def _over_columns(model: Batched, kernel: Kernel, folded: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
@@ -255,7 +257,7 @@ def _over_columns(model: Batched, kernel: Kernel, folded: bool) -> tuple[Callabl
 
     if not folded or model.fold is None:
         return take, shade
-    fold, index, terms = loop(_loops.AT[count], model.fold[0], 3), model.names.index("ior"), jit(fresnel_terms)
+    fold, index, terms = loop(_loops.AT[count], model.fold[0], 3), model.names.index("ior"), jit(index_constants)
 
     def take_folded(omega_i, omega_r, theta, out):  # type: ignore[no-untyped-def]
         over(omega_i, omega_r, out)
@@ -281,8 +283,7 @@ def _derivative(model: Batched, count: int) -> Callable[..., Any]:
 
     if model.bend is None:
         return affine
-    bend_of, kernel, size = model.bend
-    bend_of, at = jit(bend_of), loop(_loops.AT[count], kernel, size)
+    bend_of, at = jit(model.bend[0]), loop(_loops.AT[count], *model.bend[1:])
 
     def derive(found, theta, which, f, out):  # type: ignore[no-untyped-def]
         factor, flat, known = affine_of(theta, which)
@@ -294,42 +295,23 @@ def _derivative(model: Batched, count: int) -> Callable[..., Any]:
         if not known:
             return 0
         at(found, constants, out, 0, out.size)
-        if base >= 0.0:
-            for j in range(out.size):
-                out[j] *= f[j] - base
+        for j in range(out.size):
+            out[j] *= f[j] - base
         return 1
 
     return derive
 
 
-def _constants(model: Batched) -> Callable[..., Any]:
-    """The constants of a model that is linear in its columns, or their derivatives by one parameter."""
-    if not model.linear or model.bend is None:
-
-        def no_constants(theta, which, out):  # type: ignore[no-untyped-def]
-            return 0
-
-        return no_constants
-    of, bend_of = jit(model.constants), jit(model.bend[0])
-
-    def constants(theta, which, out):  # type: ignore[no-untyped-def]
-        p = of(theta) if which < 0 else bend_of(theta, which)[1]
-        out[0], out[1], out[2], out[3] = p
-        return 1
-
-    return constants
-
-
 @functools.cache
 def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
-    """The six functions of a model that `_batch_loops.fit_pixels` calls, and how many columns its kernel has."""
+    """The five functions of a model that `_batch_loops.fit_pixels` calls, and how many columns its kernel has."""
     from gonio.compiled import counting, njit
     from gonio_maps.models import _batch_steps as types
 
     model = MODELS[name]
-    kernel = model.kernel if absorbs else without_absorption(model.kernel)
+    kernel = model.kernel if absorbs else with_fresnel(model.kernel, fresnel_real)
     if folded and model.fold is not None:
-        kernel = model.fold[1]
+        kernel = with_fresnel(model.kernel, model.fold[1])
     count = int(kernel.__dict__.get("count", 6))
     unit_of, levels_of = jit(model.unit), jit(model.levels)
     take, shade = _over_columns(model, kernel, folded)
@@ -344,7 +326,7 @@ def _compiled(name: str, absorbs: bool, folded: bool) -> tuple[Any, ...]:
     made, suffix = [], f"{name.replace('-', '_')}_{'nk' if absorbs else 'n'}{folded:d}"
     for function, signature in (
         (take, types.TAKE), (shade, types.SHADE), (_derivative(model, count), types.DERIVE), (unit, types.UNIT),
-        (levels, types.LEVELS), (_constants(model), types.CONSTANTS),
+        (levels, types.LEVELS),
     ):  # fmt: skip
         function.__name__ = function.__qualname__ = f"{function.__name__}_{suffix}_{fingerprint(function)}"
         lean = function is not take and "columns" in kernel.__dict__  # what makes no arrays

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from gonio_analysis.fitting.problem import SIGNIFICANCE
+from gonio_analysis.fitting.problem import acceptable
 
 from gonio.models import engine
 from gonio.typing import Floats
@@ -95,14 +95,12 @@ class _Together:
 
     def fit(self, which: npt.NDArray[np.intp]) -> None:
         """Fit some pixels."""
-        from scipy.special import chdtri
-
         from gonio_maps.models import _batch_gram as gram
 
         which = which[self._there[which].any(axis=1)]
         used = np.where(self._there, np.stack([one.used for one in self._alone], axis=1), 0)[which].sum(axis=1)
         freedom = used - self._geometry.size - self._own.size * self._there[which].sum(axis=1)
-        critical = np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANCE), np.inf)
+        critical = acceptable(freedom)
         mean, surest = self._starts(which)
         separate = self._x[which]
         self._begin(which, separate, mean)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from gonio_analysis.curves.in_plane import evenly
+from gonio_analysis.fitting.problem import SIGNIFICANCE
 from gonio_analysis.report import files, frame, html
 from gonio_analysis.report.blocks import (
     Block,
@@ -200,8 +201,6 @@ def _facts(file: MapFile, grid: MapPixels) -> list[tuple[str, str]]:
 
 FIGURES = 10
 """Figures that a map has, about."""
-BY_CHANCE = 0.01
-"""Share of pixels that reject a model that is true (`gonio_maps.models.batch.SIGNIFICANCE`)."""
 MEANINGS = {
     "too_few": "not more values than parameters",
     "undetermined": "the values do not tell the parameters",
@@ -320,7 +319,7 @@ def _conclusion(file: FitFile, grid: MapPixels, layers: Sequence[Layer], counts:
     rejects = ""
     if usable:
         share = percent(counts["rejected"] / usable)
-        rejects = f"; {share} of those with values reject it, where {percent(BY_CHANCE)} do by chance"
+        rejects = f"; {share} of those with values reject it, where {percent(SIGNIFICANCE)} do by chance"
     determined = f"{file.model} is determined in {fitted} of {total} pixels of {grid.pixel_mm:.3g} mm{rejects}."
     median = f"Median of the pixels, with the typical standard uncertainty of one: {each}."
     return f"{determined} {median}" if fitted else determined

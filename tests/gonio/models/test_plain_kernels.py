@@ -281,9 +281,8 @@ def kernels() -> set[Any]:
     """Everything in `gonio.models` that maps what depends on directions, and a tuple of constants, to a number."""
     found = set()
     for module in pkgutil.iter_modules(models.__path__, "gonio.models."):
-        # parts of `lobe_state`'s series, whose p is a width; parts of fits, whose results test_batch holds against
-        # least squares on the plain formulas and against differences
-        if module.name in ("gonio.models._htsg_series", "gonio_maps.models._batch_models"):
+        # parts of `lobe_state`'s series, whose p is a width
+        if module.name == "gonio.models._htsg_series":
             continue
         names = vars(importlib.import_module(module.name))
         tables = [table.values() for table in names.values() if isinstance(table, dict)]
