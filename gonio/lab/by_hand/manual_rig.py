@@ -37,6 +37,7 @@ from gonio.lab.rig import (
 )
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band
+from gonio.lab.rig.protocols import Holds, Jogs, OpensSome, Surveys, TellsHealth
 from gonio.samples.description import SampleDescription
 from gonio.samples.files import load_sample
 from gonio.typing import DataFrame
@@ -99,9 +100,9 @@ class ManualRig:
         self._stops = 0
         self.entered = False
         """Its devices were open, now or before."""
-        self._only = frozenset(only) if hasattr(rig, "only") else frozenset()
-        if self._only:
-            rig.only(*only)  # type: ignore[attr-defined]
+        self._only = frozenset(only) if isinstance(rig, OpensSome) else frozenset()
+        if self._only and isinstance(rig, OpensSome):
+            rig.only(*only)
 
     # ---- gonio.lab.rig.Rig ----
 
@@ -129,13 +130,13 @@ class ManualRig:
     @property
     def can_hold(self) -> bool:
         """Whether `hold` has an effect; a rig whose driver has no `hold` parks whenever it is left."""
-        return hasattr(self._rig, "hold")
+        return isinstance(self._rig, Holds)
 
     def hold(self) -> None:
         """On leaving, the arms stay where they stand and hold; the lamp is darkened all the same."""
-        if not self.can_hold:
+        if not isinstance(self._rig, Holds):
             raise ConfigError(f'the driver of rig "{self.description.name}" has no `hold`: its arms park on leaving')
-        self._rig.hold()  # type: ignore[attr-defined]
+        self._rig.hold()
 
     def move(self, **angles: float) -> Moved:
         """Drive axes, or all axes to directions; the others stay where they are.
@@ -196,9 +197,8 @@ class ManualRig:
         return legs
 
     def _drive(self, goals: dict[str, float]) -> dict[str, float]:
-        if hasattr(self._rig, "jog"):
-            landed: dict[str, float] = self._rig.jog(goals)
-            return landed
+        if isinstance(self._rig, Jogs):
+            return self._rig.jog(goals)
         pose = self.arms.move(replace(self.arms.read(), **goals))
         return {name: getattr(pose, name) for name in goals}
 
@@ -217,26 +217,23 @@ class ManualRig:
         Before it is entered nothing is changed by it. A device that says nothing stands in `silent`. (A driver without
         `survey` has to be entered for it, and parks when it is left.)
         """
-        if not self._open and hasattr(self._rig, "survey"):
+        if not self._open and isinstance(self._rig, Surveys):
             with self._naming():
-                found: Health = self._rig.survey()
-            return found
+                return self._rig.survey()
         if not self._open:
             with self:
                 return self.read()
-        if hasattr(self._rig, "health"):
-            health: Health = self._rig.health()
-            return health
+        if isinstance(self._rig, TellsHealth):
+            return self._rig.health()
         pose, limits = self.arms.read(), self.description.limits_deg()
         return Health(tuple(Reading(n, "angle", math.degrees(getattr(pose, n)), "deg", limits[n]) for n in limits))
 
     def read_arms(self) -> Health:
         """As `read`, of the axes alone; before the rig is entered, or after it was left."""
-        if not hasattr(self._rig, "survey"):
+        if not isinstance(self._rig, Surveys):
             return self.read()
         with self._naming():
-            found: Health = self._rig.survey("arms")
-        return found
+            return self._rig.survey("arms")
 
     def pose(self) -> Pose | None:
         """Where all axes stand [rad]; None where one of them does not say so."""
@@ -245,9 +242,9 @@ class ManualRig:
                 return self.arms.read()
             except GonioError:
                 return None
-        if not hasattr(self._rig, "survey"):
+        if not isinstance(self._rig, Surveys):
             return None
-        health: Health = self._rig.survey("arms")
+        health = self._rig.survey("arms")
         angles = {name: health.of(name, "angle") for name in self.description.axes()}
         if not all(isinstance(angle, float) for angle in angles.values()):
             return None

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Protocol, Self
+from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -169,11 +169,9 @@ class RigPlugin(Protocol):
         """
 
 
-class ByHand(Protocol):
-    """What a rig may offer beside `Rig`, so that a person can work on one device while others are missing.
-
-    Every method is optional by itself, and is looked for by its name. Without `only` a rig opens everything.
-    """
+@runtime_checkable
+class OpensSome(Protocol):
+    """Opens some of its devices."""
 
     def only(self, *devices: Device) -> None:
         """Called before the rig is entered: what is not named is neither opened nor needed, and stays as it is.
@@ -181,14 +179,34 @@ class ByHand(Protocol):
         Of the arms those axes are opened whose servos answer; the others stand in `health().silent`.
         """
 
+
+@runtime_checkable
+class Holds(Protocol):
+    """Can leave its arms where they stand."""
+
     def hold(self) -> None:
         """On leaving, the arms stay where they stand and hold, instead of parking; the lamp is darkened as ever."""
+
+
+@runtime_checkable
+class Jogs(Protocol):
+    """Drives some axes alone."""
 
     def jog(self, goals: Mapping[str, float]) -> dict[str, float]:
         """Drive some axes [rad] as `ArmsDevice.move` does, and leave the others; the readback of those that moved."""
 
+
+@runtime_checkable
+class TellsHealth(Protocol):
+    """Tells how its open devices are."""
+
     def health(self) -> Health:
         """What the devices that are open say of themselves, now."""
+
+
+@runtime_checkable
+class Surveys(Protocol):
+    """Tells how its devices are without being entered."""
 
     def survey(self, *devices: Device) -> Health:
         """The same without being entered: each device is opened, asked and closed, and nothing is changed by it.
@@ -196,6 +214,14 @@ class ByHand(Protocol):
         No torque comes or goes, and a lamp that shines goes on. A device that is missing or mute stands in `silent`
         and raises nothing. Without `devices`, all.
         """
+
+
+class ByHand(OpensSome, Holds, Jogs, TellsHealth, Surveys, Protocol):
+    """What a rig may offer beside `Rig`, so that a person can work on one device while others are missing.
+
+    Every method is optional by itself, and is looked for by its name; those of the bases are capabilities with a
+    protocol each. Without `only` a rig opens everything.
+    """
 
     def put(self, what: str) -> bool:
         """Have a "mirror", nothing ("empty") or the "sample" put into the holder, for an alignment.
