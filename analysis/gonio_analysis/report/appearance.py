@@ -33,7 +33,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawing import Drawing, Figure, FigureWorkers
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.section import Section
-from gonio_analysis.report.text import number, quantity, with_u
+from gonio_analysis.report.text import counted, number, quantity, with_u
 from gonio_analysis.result_records import Appearance, Quantity, as_json
 
 KINDS = {"table": "measurement", "model": "model", "fit": "fitted model"}
@@ -156,11 +156,11 @@ def _page(a: Appearance, made: Stamp, figures: Sequence[Figure]) -> Page:
         ]
     if lacking:
         folds += [
-            Heading(3, "What does not follow from these values", f"{len(lacking)} quantities"),
+            Heading(3, "What does not follow from these values", counted(len(lacking), "quantity", "quantities")),
             table("", ["quantity", "why", "after"], [[one.label, one.remark, one.after] for one in lacking]),
         ]
     if a.notes:
-        folds += [Heading(3, "Notes", f"{len(a.notes)}"), notes(a.notes)]
+        folds += [Heading(3, "Notes", counted(len(a.notes), "note")), notes(a.notes)]
     folds += frame.provenance(made, ("source", a.source or "–"), called="page made")
     first = frame.answer(
         [lead(_verdict(rows, len(every)))],

@@ -21,7 +21,7 @@ from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragra
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, legend
 from gonio_analysis.report.section import Section
-from gonio_analysis.report.text import angle, number, reasons, with_u
+from gonio_analysis.report.text import angle, counted, number, reasons, with_u
 from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection.beyond_reflection import MuellerFacts, Transmitted
 
@@ -103,7 +103,7 @@ def mueller_section(m: MuellerFacts, figures: Sequence[Figure]) -> list[Block]:
     ]
     header = ["element", "values", "rms", "mean residual", "rms residual", "χ² a value"]
     return [
-        Heading(3, "Polarisation: Mueller matrix", f"{m.points} values"),
+        Heading(3, "Polarisation: Mueller matrix", counted(m.points, "value")),
         Paragraph(words),
         Figures(tuple(figures)),
         table("", header, rows, right=(1, 2, 3, 4, 5)),

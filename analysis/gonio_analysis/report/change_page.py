@@ -33,7 +33,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.page import MOST_BYTES
-from gonio_analysis.report.text import number, percent, spoken_difference, with_u
+from gonio_analysis.report.text import counted, number, percent, spoken_difference, with_u
 
 ALIKE = 0.9
 """Cosine between what the zeros of both arms do, above which either may be it."""
@@ -94,13 +94,16 @@ def _folds(c: Change, runs: Sequence[RunFacts | None], waves: Waves, figures: Se
     if figures:
         names = "where it is brighter, and by how many standard deviations" if v else "where it is brighter"
         out += [Heading(3, "The difference", names), Figures(tuple(figures))]
-    out += [Heading(3, "What was compared", f"{len(c.at)} values"), facts(_facts(c, runs))]
+    out += [Heading(3, "What was compared", counted(len(c.at), "value")), facts(_facts(c, runs))]
     out += [notes(noted)] if noted else []
     out += [Heading(3, "Metrics", f"typically {typical} apart" if typical != "–" else "no ratio is told"), _metrics(c)]
     if len(waves) > 1:
-        out += [Heading(3, "Wavelengths", f"{len(waves)}"), _of_wavelengths(waves)]
+        out += [Heading(3, "Wavelengths", counted(len(waves), "wavelength")), _of_wavelengths(waves)]
     if v is not None:
-        out += [Heading(3, "How it is judged", f"{len(v.tests)} tests share {100 * LEVEL:g} %"), *_method(v)]
+        out += [
+            Heading(3, "How it is judged", f"{counted(len(v.tests), 'test')} at {100 * LEVEL:g} % together"),
+            *_method(v),
+        ]
     return out
 
 

@@ -17,7 +17,7 @@ from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragra
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.figures import LEGEND_ROW_IN, key
 from gonio_analysis.report.section import Section
-from gonio_analysis.report.text import number
+from gonio_analysis.report.text import counted, number
 
 KIND = "health"
 PANEL_IN = 1.35
@@ -68,7 +68,7 @@ def section(run: RunFacts | None, figures: Sequence[Figure]) -> list[Block]:
     head = ["device", "quantity", "lowest", "median", "highest", "highest after"]
     waited = f"it waited {len(run.pauses)} times" if run.pauses else "it never waited"
     return [
-        Heading(3, "The health of the run", f"{len({h.device for h in run.health})} devices; {waited}"),
+        Heading(3, "The health of the run", f"{counted(len({h.device for h in run.health}), 'device')}; {waited}"),
         Paragraph(_extremes(run)),
         Notes(tuple(map(_pause, run.pauses[:MOST_PAUSES]))),
         *([table("Read after the frames of every step.", head, rows, right=(2, 3, 4, 5))] if rows else []),

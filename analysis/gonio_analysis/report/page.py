@@ -35,7 +35,7 @@ from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.model_tables import OFF, fitted_words, off_by
 from gonio_analysis.report.section import part
-from gonio_analysis.report.text import FILLING, number, percent, slug, with_u
+from gonio_analysis.report.text import FILLING, counted, number, percent, slug, with_u
 from gonio_analysis.report.viewer import ViewerData
 
 MOST_SOURCES = 50
@@ -239,12 +239,12 @@ def _overview(s: Summary, place: Mapping[str, str], beside: Beside) -> list[Bloc
     first = frame.answer([*said, *remedies], [*plot, Figures(tuple(figures), printed=view is not None)], [nearest])
     folds: list[Block] = []
     if c is not None and c.details:
-        folds += [Heading(3, "The comparison in full", f"{len(c.details)} sentences"), notes(c.details)]
+        folds += [Heading(3, "The comparison in full", counted(len(c.details), "sentence")), notes(c.details)]
     if c is not None and c.models is not None and c.models.words:
         shared = ", ".join(one.label for one in c.models.shared)
         folds += [Heading(3, "What models say", shared or "no model describes all of them"), notes(c.models.words)]
     folds += [
-        Heading(3, "Every model on every sample", f"{len(rows)} fits"),
+        Heading(3, "Every model on every sample", counted(len(rows), "fit")),
         table(
             "Parameters of a geometry that several wavelengths share say so.",
             ["sample", "model", "reduced χ²", OFF, "fitted parameters"],

@@ -181,3 +181,8 @@ def glued(text: str) -> str:
 def percent(value: float | None) -> str:
     """A fraction in percent, two significant digits."""
     return "–" if value is None else f"{number(100 * value, 2)} %"
+
+
+def counted(many: int, one: str, more: str = "") -> str:
+    """How many there are, in words: "1 value", "2 values"."""
+    return f"{many} {one if many == 1 else more or one + 's'}"

@@ -25,7 +25,7 @@ from gonio_analysis.report.blocks import (
 )
 from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.files import write_columns, write_csv
-from gonio_analysis.report.text import number, percent, with_u
+from gonio_analysis.report.text import counted, number, percent, with_u
 
 from gonio import lost
 from gonio_maps.pixel_by_pixel import MapChange, ParameterChange, change
@@ -169,7 +169,7 @@ def _write_tables(c: MapChange, folder: Path) -> list[str]:
 
 def _page(c: MapChange, specs: Sequence[str], made: Stamp, figures: Sequence[Figure]) -> Page:
     folds = [
-        Heading(3, "By parameter", f"{len(c.parameters)} parameters"),
+        Heading(3, "By parameter", counted(len(c.parameters), "parameter")),
         Figures(tuple(figures[1:])),
         _in_full(c),
         Heading(3, "What was compared", f"{c.compared} of {c.changed.size} pixels"),

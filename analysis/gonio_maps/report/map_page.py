@@ -36,7 +36,7 @@ from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.files import write_csv
 from gonio_analysis.report.page import MOST_BYTES
 from gonio_analysis.report.section import parts
-from gonio_analysis.report.text import number, percent, with_u
+from gonio_analysis.report.text import counted, number, percent, with_u
 
 from gonio import lost
 from gonio.errors import ConfigError
@@ -394,11 +394,11 @@ def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
     rest = [f for f in figures if f.kind != "map"]
     behind: list[Block] = []
     if rest:
-        behind += [Heading(3, "Spread over the pixels", f"{len(told.layers)} histograms"), Figures(tuple(rest))]
+        behind += [Heading(3, "Spread over the pixels", counted(len(told.layers), "histogram")), Figures(tuple(rest))]
     raised = [f"{_said(k)} {n}" for k, n in told.counts.items() if n]
     behind += [Heading(3, "Flags", ", ".join(raised) or "none"), *parts({"the table of flags": partial(_flags, told)})]
     if told.materials is not None:
-        behind.append(Heading(3, "Materials", f"{len(told.materials.rows)}"))
+        behind.append(Heading(3, "Materials", counted(len(told.materials.rows), "material")))
         behind += parts({"the table of materials": partial(_of_materials, told.materials)})
     behind += [Heading(3, "What was mapped", _pixels(told)), facts(told.facts), *frame.provenance(made)]
     parameters = parts({"the table of parameters": partial(_parameters, told)})
@@ -406,7 +406,7 @@ def _page(told: Told, made: Stamp, figures: Sequence[Figure]) -> Page:
     def of(maps: Sequence[Figure]) -> Page:
         picture = [told.view, Figures(tuple(maps[:1]), printed=True)]
         first = frame.answer([lead(told.conclusion)], picture)
-        others = [Heading(3, "Maps", f"{len(maps)}"), Figures(tuple(maps[1:]))]
+        others = [Heading(3, "Maps", counted(len(maps), "map")), Figures(tuple(maps[1:]))]
         folds = [*others, *behind]
         return frame.page(told.title, dated("A map", made), first, shown=parameters, folds=folds, foot=FOOTER)
 
