@@ -151,7 +151,6 @@ def calls(n: int) -> list[tuple[str, Callable[..., Any], tuple[int, ...]]]:
         ("blinn highlight", partial(Blinn().highlight, *angles), (n,)),
         ("specular", partial(CookTorrance().specular, *angles), (n,)),
         ("rho_s", partial(HeTorrance().specular_reflectivity, angles[0]), (n,)),
-        ("rho_dh", partial(HeTorrance().directional_hemispherical, angles[0][:3]), (3,)),
         ("mueller", partial(HeTorrance().mueller, *angles), (n, 4, 4)),
         ("wavelengths", partial(HeTorrance().brdf, *angles, wavelength_nm=waves), (2, n)),
     ]
