@@ -101,7 +101,7 @@ def _folds(c: Change, runs: Sequence[RunFacts | None], waves: Waves, figures: Se
         out += [Heading(3, "Wavelengths", counted(len(waves), "wavelength")), _of_wavelengths(waves)]
     if v is not None:
         out += [
-            Heading(3, "How it is judged", f"{counted(len(v.tests), 'test')} at {100 * LEVEL:g} % together"),
+            Heading(3, "How it is judged", f"{counted(len(v.tests), 'test')} share {100 * LEVEL:g} %"),
             *_method(v),
         ]
     return out
