@@ -13,6 +13,8 @@ a cubic: lobes rise by large factors, and chords of them are off by many times t
 largest of three: the difference from the cubic of the values themselves, that from the polynomial through six
 logarithms, and a quarter of the difference of the two parabolas through three of the four. The last alone, twice as
 large, was three times the error in a lobe, and hid noise that was understated; where there are no six, it is taken.
+All three are small beside an edge of the curve: where the values show one, what it makes of the cubic counts too
+(`gonio_analysis.changes.edges`).
 
 Elsewhere interpolation is linear. Its error between x_k with weights w_k is stated as the larger of two:
 
@@ -34,6 +36,7 @@ import numpy.typing as npt
 from gonio.geometry import FARTHEST, SAME_ANGLE, SAME_DIRECTION, Directions, direction, groups
 from gonio.progress import Pace, Say, silent
 from gonio.typing import Floats, Ints
+from gonio_analysis.changes.edges import WINDOW, Edges
 from gonio_analysis.fitting.observations import SAME_BAND_NM, Observations, Unused
 
 TURN = float(np.radians(0.25))
@@ -43,7 +46,8 @@ AT_ONCE = 1 << 16
 """Directions that are turned together: their vectors take 200 bytes each."""
 
 MOST_KEPT = 200_000
-"""Directions of the interpolations that are kept for further wavelengths: they take some 300 bytes each."""
+"""Directions of the interpolations that are kept for further wavelengths: they take some 300 bytes each, and 1200 in
+the plane of incidence."""
 
 CLEAR = 5.0
 """Values have a logarithm where they are above so many standard uncertainties of their noise."""
@@ -383,6 +387,8 @@ class _Along:
     """(n, 6) the neighbours of polynomials through six; empty where there are fewer."""
     beyond: Floats
     """(n, 6) the difference of those and the cubics; 0 where one would reach across a hole or a gap."""
+    edges: Edges | None
+    """What edges do to the cubics; None where there are too few directions to see one."""
 
     def finer(self, values: Floats, noise: Floats | None) -> tuple[Ints, Floats, Floats]:
         """Which goals cubics of logarithms reach, their weights (m, 4), and the error."""
@@ -400,6 +406,9 @@ class _Along:
             logs_six = np.log(np.where(far[:, None], f_six, 1.0))
             beyond = (self.beyond[found] * logs_six).sum(axis=1)
             apart = np.where(far, np.maximum(HIGHER * np.abs(beyond), LOWER * np.abs(apart)), apart)
+        if self.edges is not None:
+            on_line = None if noise is None else noise[self.line]
+            apart = np.maximum(np.abs(apart), self.edges.error(found, values[self.line], on_line))
         return found, w * value[:, None] / f, np.maximum(np.abs(value - (w * f).sum(axis=1)), value * np.abs(apart))
 
     def parabola(self, values: Floats) -> Floats:
@@ -455,7 +464,9 @@ def _along(goal: _Places, known: _Places, holes: _Places, rows: Ints, line: Ints
     w = (t - x[k]) / gap
     nodes = np.stack([line[k], line[k + 1], line[k]], axis=1)
     weights = np.stack([1 - w, w, np.zeros(w.size)], axis=1)
-    return _Along(rows, nodes, weights, line, x, k, *_cubics(line, x, k, t, blocked))
+    cubics = _cubics(line, x, k, t, blocked)
+    edges = Edges.around(x, blocked, k, t, cubics[1], FARTHEST) if x.size >= WINDOW else None
+    return _Along(rows, nodes, weights, line, x, k, *cubics, edges)
 
 
 def _cubics(
