@@ -258,12 +258,10 @@ def test_polarised_values_that_are_not_all_there_stay_as_they_are() -> None:
 
 
 def test_samples_of_a_file_by_name(tmp_path: Path) -> None:
-    text = (
-        "sample_en,theta_o_deg,theta_i_deg,L_reflected_W_m-2_sr-1\n"
-        + "zinc,15,80,2.5\nbrass,15,80,3.5\nzinc,20,80,1.5\n"
-    )
     path = tmp_path / "metals.csv"
-    path.write_text(text)
+    every = example(3).drop(columns="s_reference").assign(sample=["zinc", "brass", "zinc"])
+    every.attrs["samples"] = ["zinc", "brass"]
+    measurement.write(every, path)
     assert {name: len(frame) for name, frame in measurement.tables(path).items()} == {"zinc": 2, "brass": 1}
     ((name, brass),) = measurement.tables(f"{path}:brass").items()
     assert name == "brass"

@@ -202,6 +202,9 @@ def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> Non
             DeviceError, match=r"axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"
         ):
             arms.move(pose(light=-20, camera=45, spin=90))
+        end = time.monotonic() + 2.0  # the twins' threads take the stop when the computer lets them
+        while any(twin.moves() for twin in twins.stages.values()) and time.monotonic() < end:
+            time.sleep(0.01)
         assert not any(twin.moves() for twin in twins.stages.values())
 
 

@@ -75,7 +75,7 @@ def coverage(
     """
     with _counted("campaigns") as step:
         _made(
-            "bench.coverage", out, campaigns=campaigns, seed=seed, jobs=jobs, dask=dask, only=_names(only), quick=quick,
+            "coverage", out, campaigns=campaigns, seed=seed, jobs=jobs, dask=dask, only=_names(only), quick=quick,
             step=step,
         )  # fmt: skip
 

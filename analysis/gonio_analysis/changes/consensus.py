@@ -89,8 +89,8 @@ def consensus(values: npt.ArrayLike, u: npt.ArrayLike, method: Method = "weighte
     --------
     >>> from gonio_analysis import consensus
     >>> found = consensus([0.98, 1.00, 1.05], [0.01, 0.01, 0.01], method="mandel-paule")
-    >>> print(f"{found.value:.3f} +- {found.u:.3f}, tau {found.tau:.3f}")
-    1.010 +- 0.021, tau 0.035
+    >>> [round(float(x), 3) for x in (found.value, found.u, found.tau)]
+    [1.01, 0.021, 0.035]
     """
     x, v = _checked(values, u)
     if method not in METHODS:

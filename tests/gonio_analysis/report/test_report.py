@@ -16,6 +16,8 @@ import pytest
 from gonio_analysis.report import make
 from gonio_analysis.report.files import staged
 from gonio_analysis.report.text import difference, number, with_u
+from gonio_analysis.report.verdict import misfit_words
+from gonio_analysis.result_records import MisfitSummary
 
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
@@ -120,7 +122,8 @@ def test_numbers_of_the_page_are_those_of_the_summary(report: Path) -> None:
                     assert with_u(e["value"], e["u"]) in html
             if f["reduced_chi_square"] is not None:
                 assert plain(number(f["reduced_chi_square"])) in html
-            assert plain(difference(f["metrics"]["log_ratio"])) in html
+            off, ratio = f["misfit"], f["metrics"]["log_ratio"]
+            assert plain(escape(difference(ratio) if off is None else misfit_words(MisfitSummary(**off)))) in html
             assert plain(number(f["metrics"]["ngan"])) in html
             assert escape(f["convention"]) in html
     assert len(re.findall(r"<td class=n>([^<]*)</td>", html)) > 20

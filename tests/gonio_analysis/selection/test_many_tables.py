@@ -110,7 +110,7 @@ import os, signal, sys
 from pathlib import Path
 from gonio.measurement import Reading
 from gonio_analysis.fitting.problem import FitRequest
-from gonio_analysis.maps import many_tables
+from gonio_analysis.selection import many_tables
 def dies(done, total):
     if done == 2:
         os.kill(os.getpid(), signal.SIGKILL)
