@@ -138,8 +138,10 @@ EXTRAS = {
 
 
 def missing_package(error: BaseException) -> str:
-    """What to install where a module of `EXTRAS` is not there, in words; "" of any other error."""
+    """What to install where a module of `EXTRAS`, or an optional package of ours, is not there; "" of other errors."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if name.startswith("gonio_"):
+        return f"this needs the package {name}, which is not installed here"
     if name not in EXTRAS:
         return ""
     return f'this needs the package {name}, which is not installed: pip install "gonio[{EXTRAS[name]}]"'

@@ -72,10 +72,11 @@ def test_what_is_missing_is_said_in_one_line_that_names_the_package(table: Path,
         ("watch", "run"),
         ("render", "scene.toml", "--out", "x"),
         ("convert", str(table), str(tmp_path / "x"), "--to", "bluesky"),
+        ("figures", "pictures", "--out", str(tmp_path / "figures")),
     )
     done = without(tuple(ROOMS), *commands)
     lines = done.stderr.splitlines()
     assert done.stdout.split() == ["exit", "2"] * len(commands), done.stdout + done.stderr
     assert len(lines) == len(commands), done.stderr
-    for line, room in zip(lines, ("gonio_watch", "gonio_scenes", "gonio_bluesky"), strict=True):
-        assert line.endswith(f"comes with the package {room}, which is not installed here")
+    for line, room in zip(lines, ("gonio_watch", "gonio_scenes", "gonio_bluesky", "gonio_scenes"), strict=True):
+        assert line.endswith(f" the package {room}, which is not installed here")

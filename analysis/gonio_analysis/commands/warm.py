@@ -37,7 +37,7 @@ def jobs() -> list[partial[Any]]:
         theta_i_deg=theta_i, phi_i_deg=0.0, theta_r_deg=theta_r, phi_r_deg=phi_r, wavelength_nm=550.0,
         brdf=brdf, u_brdf=0.01 * brdf, attrs=attributes(quantity="brdf"),
     )  # fmt: skip
-    of_maps = plugins.room("maps").jobs(tuple(towards), brdf) if "maps" in plugins.available("gonio.rooms") else []
+    of_maps = plugins.room("maps").jobs(tuple(towards), brdf) if not plugins.left_out("gonio.rooms", "maps") else []
     return [
         *(partial(fit_table, made, FitRequest(name), name=name) for name in declared()),
         *of_maps,
