@@ -1,22 +1,26 @@
-"""Entry points: rigs, cameras, models, commands, sections of reports, exports; ours and others' alike."""
+"""Entry points: rigs, cameras, models, formats, commands, sections of reports, exports; ours and others' alike."""
 
 import contextlib
 import functools
+import os
 import sys
+import traceback
 import zlib
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from gonio.errors import ConfigError, GonioError, did_you_mean, missing_package
+from gonio.errors import ConfigError, DataError, GonioError, did_you_mean, missing_package
 
 Group = Literal[
     "gonio.rigs",
     "gonio.cameras",
     "gonio.stages",
     "gonio.models",
+    "gonio.formats",
     "gonio.choosers",
     "gonio.exports",
     "gonio.records",
@@ -71,10 +75,33 @@ def add(group: Group, name: str, kind: type) -> None:
     _added[group, name] = point
 
 
-@functools.lru_cache(maxsize=32)
 def _installed(group: Group, path: tuple[str, ...]) -> dict[str, EntryPoint]:
+    """The first of each name: ours, where several packages bring one."""
+    found: dict[str, EntryPoint] = {}
+    for point in _every(group, path):
+        found.setdefault(point.name, point)
+    return found
+
+
+@functools.lru_cache(maxsize=32)
+def _every(group: Group, path: tuple[str, ...]) -> list[EntryPoint]:
     """Found once for a search path: the metadata of all packages are read for it, some 20 ms."""
-    return {point.name: point for point in sorted(entry_points(group=group), key=lambda p: p.name)}
+    return sorted(entry_points(group=group), key=lambda point: (point.name, _package(point) != "gonio"))
+
+
+def _package(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else "an unnamed package"
+
+
+def passed_over(group: Group) -> list[str]:
+    """What is not found because another package has brought something of the same name, a sentence each."""
+    taken = _installed(group, tuple(sys.path))
+    return [
+        f'the {kind_of(group)} "{point.name}" ({point.value}) of {_package(point)} is passed over: '
+        f"{_package(taken[point.name])} has brought that name; give it another"
+        for point in _every(group, tuple(sys.path))
+        if point is not taken[point.name]
+    ]
 
 
 def kind_of(group: Group) -> str:
@@ -183,6 +210,23 @@ def carry(there: Carried) -> None:
         _run(file, file)
     for group, name, value in there[1]:
         _added[group, name] = EntryPoint(name, value, group)
+
+
+@contextlib.contextmanager
+def blamed(what: str) -> Iterator[None]:
+    """Raise a `DataError` that begins with `what` where another's code in the block fails in any way but ours.
+
+    `GONIO_TRACEBACK=1` shows where.
+    """
+    try:
+        yield
+    except (GonioError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        if os.environ.get("GONIO_TRACEBACK"):
+            traceback.print_exception(error)
+        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise DataError(f"{what} has failed ({said}); GONIO_TRACEBACK=1 shows where") from error
 
 
 class Broken(Exception):

@@ -6,7 +6,6 @@ import contextlib
 import difflib
 import os
 import shutil
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +15,7 @@ import typer
 from gonio.cli import console
 from gonio.cli.options import Columns, reading, remember
 from gonio.disk import is_stream
-from gonio.errors import ConfigError, DataError, GonioError
+from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,11 +36,13 @@ def convert(
         help="For a renderer: this wavelength of a table alone, in grey.")] = None,
 ) -> None:  # fmt: skip
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
-    from gonio import measurement, plugins
+    from gonio import formats, measurement, plugins
 
     if target_format == _TEXTURES:
         _textures(source, target, source_format or columns or wavelength_nm)
         return
+    for said in formats.left_out():
+        console.note(said)
     original = Path(measurement.split(source)[0])
     _require_place(target, original)
     how = reading(columns)
@@ -143,21 +144,13 @@ def _export(source: str, target: Path, name: str, more: object) -> None:
 
 def _exported(write: Any, source: str, target: Path, name: str) -> list[str]:
     """What an export says; one that fails leaves the place as it was."""
-    with _as_it_was(target):
-        try:
-            said = [str(line) for line in write(source, target)]
-            if not said:
-                raise ValueError("it does not say what it has written")
-            return said
-        except (GonioError, OSError, MemoryError):
-            raise
-        except Exception as error:
-            if os.environ.get("GONIO_TRACEBACK"):
-                traceback.print_exception(error)
-            what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            raise DataError(
-                f"{source}: the export --to {name} has failed ({what}); GONIO_TRACEBACK=1 shows where"
-            ) from error
+    from gonio import plugins
+
+    with _as_it_was(target), plugins.blamed(f"{source}: the export --to {name}"):
+        said = [str(line) for line in write(source, target)]
+        if not said:
+            raise ValueError("it does not say what it has written")
+        return said
 
 
 @contextlib.contextmanager
