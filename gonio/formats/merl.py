@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats.reader import ANGLES, RGB_NM, Format, table, wrap_deg, write_bytes
+from gonio.formats.reader import ANGLES, Format, table, wrap_deg, write_bytes
+from gonio.spectra import RGB_NM
 from gonio.typing import DataFrame, Floats
 
 if TYPE_CHECKING:

@@ -49,8 +49,6 @@ MAX_BYTES = 2**28
 """Most bytes of a file; less where a reader needs many bytes of memory a byte."""
 SAME = 1e-6
 """Relative: two values that a file states for one direction are one where they differ by rounding to seven digits."""
-RGB_NM = {"red": 610.0, "green": 550.0, "blue": 465.0}
-"""Where a model is evaluated for a file that has colours."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ import numpy as np
 
 from gonio import geometry
 from gonio.errors import DataError
-from gonio.formats.reader import RGB_NM, Format, table, write_bytes
+from gonio.formats.reader import Format, table, write_bytes
+from gonio.spectra import RGB_NM
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, NDArray
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 """Reflectance models of the papers: one file a paper, on one kernel layer (docs/reference/models_and_parameters.md)."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from gonio.errors import ArgumentError
@@ -24,7 +25,9 @@ from gonio.models.oren_nayar import OrenNayar
 from gonio.models.parameters import Fitted, parameter
 from gonio.models.retroreflecting import Retroreflecting
 from gonio.models.rpv import RPV
+from gonio.models.spectral import SpectralModel
 from gonio.models.sum import Sum
+from gonio.spectra import spectra_in
 
 __all__ = [
     "EON",
@@ -49,6 +52,7 @@ __all__ = [
     "OrenNayar",
     "Phong",
     "Retroreflecting",
+    "SpectralModel",
     "Sum",
     "build",
     "examine",
@@ -76,7 +80,7 @@ def build(name: str, parameters: Mapping[str, Any]) -> Model:
     "sum" takes what `Sum.parameters` returns: one table a term, under its model's name, with a `weight` (1 if it is
     left out) beside the model's own parameters. A number after the name tells terms of the same model apart, as in
     "cook-torrance 1" and "cook-torrance 2". "corrected" takes what `Corrected.parameters` returns: the table of a model
-    under its name, and the table "misfit".
+    under its name, and the table "misfit". A number may be a spectrum (`gonio.spectra`): that makes a `SpectralModel`.
 
     Raises
     ------
@@ -93,6 +97,8 @@ def build(name: str, parameters: Mapping[str, Any]) -> Model:
     """
     from gonio import plugins
 
+    if spectra_in(parameters):
+        return SpectralModel(name, dict(parameters), partial(build, name))
     if name == DiffuseTransmitter.name:  # as a sum no entry point: nothing is fitted with it
         return build_model(DiffuseTransmitter, name, parameters)
     if name == Sum.name:

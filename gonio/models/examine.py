@@ -8,6 +8,7 @@ import numpy as np
 from gonio.errors import DataError
 from gonio.models.corrected import Corrected
 from gonio.models.model import Model
+from gonio.models.spectral import SpectralModel
 from gonio.models.sum import Sum
 
 INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
@@ -60,6 +61,8 @@ def _single(model: Model) -> list[Model]:
     """A model, or those that it is made of."""
     if isinstance(model, Corrected):
         return _single(model.model)
+    if isinstance(model, SpectralModel):
+        return _single(model.middle)
     return [one for term, _ in model.terms for one in _single(term)] if isinstance(model, Sum) else [model]
 
 
@@ -73,7 +76,8 @@ def outside(model: Model, wavelength_nm: float) -> str:
     wavelength_nm
         Wavelength [nm].
     """
-    found = [(one.name, one.outside(wavelength_nm)) for one in _single(model)]
+    here = model.plain(wavelength_nm) if isinstance(model, SpectralModel) else model
+    found = [(one.name, one.outside(wavelength_nm)) for one in _single(here)]
     return " ".join(f"{name} is used outside its validity: {why}." for name, why in found if why)
 
 

@@ -3,7 +3,6 @@
 Numbers of a scene file that may depend on the wavelength: a number, or a table of wavelengths and values.
 """
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
@@ -23,51 +22,15 @@ from gonio.errors import ConfigError
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.kinematics import view
 from gonio.lab.rig.protocols import Pose
+from gonio.spectra import Spectrum, Wavelength
 from gonio.typing import Floats
 from gonio_scenes.camera import on_disc, point
 from gonio_scenes.shapes.shape import Coordinate, Length, refuse_parallel, unit
 
-WAVELENGTHS = (1e-6, 1e12)
-"""What a wavelength may be [nm]: from gamma rays to radio, as for the models."""
-Wavelength = Annotated[float, Field(ge=WAVELENGTHS[0], le=WAVELENGTHS[1])]
 MAX_WAVELENGTHS = 1000
 
 
-class LampSpectrum(Strict):
-    """Values at wavelengths, straight lines between them; nothing is said of wavelengths outside."""
-
-    wavelength_nm: tuple[Wavelength, ...]
-    value: tuple[float, ...]
-
-    @model_validator(mode="after")
-    def _sound(self) -> "LampSpectrum":
-        if len(self.wavelength_nm) != len(self.value) or not self.value:
-            raise ValueError(
-                f"wavelength_nm has {len(self.wavelength_nm)} entries and value {len(self.value)}: "
-                "they go together, and there must be one at least"
-            )
-        if any(b <= a for a, b in itertools.pairwise(self.wavelength_nm)):
-            raise ValueError("wavelength_nm must grow from entry to entry")
-        return self
-
-    def at(self, wavelength_nm: float) -> float:
-        """The value at a wavelength.
-
-        Raises
-        ------
-        ConfigError
-            The wavelength lies outside the table.
-        """
-        first, last = self.wavelength_nm[0], self.wavelength_nm[-1]
-        if not first <= wavelength_nm <= last:
-            raise ConfigError(
-                f"a spectrum from {first:g} to {last:g} nm has no value at {wavelength_nm:g} nm: extend the table, or "
-                "change wavelength_nm"
-            )
-        return float(np.interp(wavelength_nm, self.wavelength_nm, self.value))
-
-
-class NonNegativeSpectrum(LampSpectrum):
+class NonNegativeSpectrum(Spectrum):
     """A spectrum without a value below 0: of a light, or of a reflectance."""
 
     @model_validator(mode="after")
@@ -124,16 +87,11 @@ class WavelengthRange(Strict):
         return tuple(self.start + k * self.step for k in range(count))
 
 
-def values(spectral: float | LampSpectrum, wavelength_nm: Floats) -> Floats:
+def values(spectral: float | Spectrum, wavelength_nm: Floats) -> Floats:
     """A spectral number at wavelengths, of their shape."""
-    if isinstance(spectral, LampSpectrum):
+    if isinstance(spectral, Spectrum):
         return np.array([spectral.at(wave) for wave in wavelength_nm])
     return np.full(wavelength_nm.shape, float(spectral))
-
-
-def is_table(value: Any) -> bool:
-    """Whether a parameter of a model is meant as a spectrum."""
-    return isinstance(value, dict) and set(value) == {"wavelength_nm", "value"}
 
 
 Vector = tuple[Coordinate, Coordinate, Coordinate]

@@ -9,14 +9,15 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gonio import models
-from gonio.config import Strict, parse
+from gonio.config import Strict
 from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.models.parameters import Parameters, index_at
 from gonio.samples.textures import PATTERNS, picture
+from gonio.spectra import Spectrum, at_wavelength, spectra_in
 from gonio.typing import Floats
 from gonio_scenes import polarised
-from gonio_scenes.lights import LampSpectrum, NonNegativeSpectrum, Spectral, is_table, table_or, values
+from gonio_scenes.lights import NonNegativeSpectrum, Spectral, table_or, values
 
 AMBIENT_NODES = 65
 """Polar angles at which rho_hd is computed; between them it is interpolated, to 1e-3 of its largest value for gentle
@@ -69,7 +70,7 @@ class MaterialTable(Strict):
 
     model: str
     parameters: Parameters = Field(default_factory=dict)
-    """The model's arguments. A number may be a table { wavelength_nm = [...], value = [...] }."""
+    """The model's arguments. A number may be a spectrum (`gonio.spectra`)."""
     textures: dict[str, Texture] = Field(default_factory=dict)
     ambient_reflectance: Annotated[
         Annotated[float, Field(ge=0)] | NonNegativeSpectrum | Literal["normal"] | None,
@@ -203,8 +204,8 @@ class SceneMaterial:
         return self._levels[level]
 
     def _made(self, level: tuple[float, ...]) -> _Level:
-        spectral = _has_spectrum(self._table.parameters) or any(
-            isinstance(end, LampSpectrum)
+        spectral = bool(spectra_in(self._table.parameters, f"{self._where}.parameters")) or any(
+            isinstance(end, Spectrum)
             for texture in self._table.textures.values()
             for end in (texture.low, texture.high)
         )
@@ -217,7 +218,7 @@ class SceneMaterial:
         """The model at a wavelength, where the textures have certain values."""
         where = f"{self._where} with model = {self._table.model!r}"
         try:
-            parameters = _at(self._table.parameters, wavelength_nm, f"{self._where}.parameters")
+            parameters = at_wavelength(self._table.parameters, wavelength_nm, f"{self._where}.parameters")
             for t, (name, texture) in zip(level, self._table.textures.items(), strict=True):
                 low, high = (float(values(end, np.array([wavelength_nm]))[0]) for end in (texture.low, texture.high))
                 parameters[name] = low + (high - low) * t
@@ -288,25 +289,6 @@ class SceneMaterial:
 
 def _ends(texture: Texture) -> tuple[Any, Any]:
     return texture.low, texture.high
-
-
-def _has_spectrum(value: Any) -> bool:
-    if is_table(value):
-        return True
-    return isinstance(value, dict) and any(_has_spectrum(inner) for inner in value.values())
-
-
-def _at(parameters: Parameters, wavelength_nm: float, where: str) -> Parameters:
-    """Parameters with every spectrum at one wavelength."""
-    out: Parameters = {}
-    for name, value in parameters.items():
-        if is_table(value):
-            out[name] = parse(LampSpectrum, value, f"{where}.{name}").at(wavelength_nm)
-        elif isinstance(value, dict):
-            out[name] = _at(value, wavelength_nm, f"{where}.{name}")
-        else:
-            out[name] = value
-    return out
 
 
 def _is_constant(model: Model) -> bool:

@@ -13,6 +13,7 @@ from gonio.errors import ConfigError, DataError, did_you_mean
 from gonio.lab.acquisition.measure import find_rig
 from gonio.lab.rig.description import RigDescription
 from gonio.models import examine
+from gonio.spectra import Wavelength
 from gonio.typing import Floats
 from gonio_scenes import camera as cameras
 from gonio_scenes import lights, polarised
@@ -25,7 +26,6 @@ from gonio_scenes.lights import (
     LightTable,
     PointLight,
     RigTable,
-    Wavelength,
     WavelengthRange,
     table_or,
 )

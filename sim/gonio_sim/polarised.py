@@ -14,7 +14,7 @@ from gonio.geometry import Directions
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.kinematics import View
 from gonio.lab.rig.light_and_camera import Polarisation
-from gonio.models import Model
+from gonio.models import Model, SpectralModel
 from gonio.typing import Floats
 
 
@@ -26,6 +26,7 @@ def is_on(description: RigDescription) -> bool:
 def of_lobe(description: RigDescription, model: Model, scene: View, at: Directions, wavelength_nm: float) -> Floats:
     """Factor on the lobe at some directions; 1 for a model without a Mueller matrix, which depolarises."""
     out = np.ones(at.theta_i.shape)
+    model = model.plain(wavelength_nm) if isinstance(model, SpectralModel) else model
     if not hasattr(model, "mueller"):
         return out
     vector, row = _stokes(description, scene, at)
