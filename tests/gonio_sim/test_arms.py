@@ -107,20 +107,6 @@ def test_backlash_shows_without_an_approach(rig: Build) -> None:
         assert sim.world.pose.light == pytest.approx(goal.light + math.radians(0.5), abs=EXACT)
 
 
-def test_a_step_lands_the_same_whatever_went_before(rig: Build) -> None:
-    description = describe("sim", acquisition={"approach_deg": 0.02})  # less than the backlash
-    goal = Pose(light=0.4, camera=-0.3, tilt=0.2, spin=1.0)
-    with rig(description, seed=6) as a, rig(description, seed=6) as b:
-        for n in range(7):
-            a.begin(step(n))
-            a.arms.move(Pose(light=-0.1 * n))
-        for each in (a, b):
-            each.begin(step(7))
-            each.arms.move(goal)
-        assert a.world.pose == b.world.pose
-        assert a.time_s() == b.time_s()
-
-
 @pytest.mark.parametrize(
     ("goal", "message"),
     [

@@ -109,16 +109,6 @@ def test_pixels_that_a_peak_keeps_dark_get_longer_frames() -> None:
     assert max(long) * 400.0 < 0.9 * 10_800.0
 
 
-def test_brackets_repeat() -> None:
-    rates = np.full(COUNT, 1234.0)
-    assert planned(rig(), rates) == planned(rig(), rates)
-
-
-def test_estimates_follow() -> None:
-    fine, coarse = (sum(exposure.expected_bracket(rig(u), Pose(camera=0.5), 0.5)) for u in (0.0002, 0.01))
-    assert fine > 10 * coarse
-
-
 @pytest.mark.parametrize(
     ("changes", "longest_s"),
     [
@@ -145,13 +135,6 @@ def test_the_pixels_that_are_expected_are_those_of_the_region(camera_deg: float)
 
 def test_a_region_smaller_than_a_pixel_has_one() -> None:
     assert exposure.expected_pixels(describe(acquisition=Acquisition(roi_radius_mm=0.05)), Pose()) == 1
-
-
-def test_lamps_that_flicker_take_more_frames_and_not_longer_ones() -> None:
-    """The lamp's part of the variance is that of a mean: (0.008 / 0.002)^2 = 16 frames, of bright light."""
-    bright = np.full(8, 1e6)
-    found = exposure._Planned(rig(0.002, lamp=0.008), bright, bright, 10**9).exposures(0.005, 2)
-    assert len(found) in (17, 18)  # 16 frames without the rest of the noise, and the shorter one
 
 
 def test_what_responsivities_leave_is_not_exposed_for() -> None:
@@ -241,11 +224,6 @@ def test_a_good_guess_costs_one_frame() -> None:
     scene = Scene(3.0)
     exposure.meter(RIG, scene.shot, used, 4.0)
     assert scene.taken == 1
-
-
-def test_decisions_repeat() -> None:
-    first, again = (exposure.meter(RIG, Scene(40.0).shot, used, 0.01) for _ in range(2))
-    assert first == again
 
 
 def test_light_that_jumps_is_a_device_error() -> None:

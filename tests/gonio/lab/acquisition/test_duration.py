@@ -1,7 +1,7 @@
 """How long moves, steps and runs take, by the rig file: against times that were worked out by hand."""
 
 import math
-from dataclasses import astuple, replace
+from dataclasses import astuple
 
 import pytest
 from hypothesis import example, given
@@ -139,15 +139,6 @@ def test_parts_of_a_run_add_up_to_its_steps() -> None:
     assert parts.reference_s == pytest.approx(len(visits) * durations.frames_s(visits[0]), abs=ROUNDING)
     assert parts.travel_s > 0.0
     assert parts.frames_s > 0.0
-
-
-def test_time_grows_with_bands_and_with_darker_samples() -> None:
-    description = rig()
-    step = Step(2, "point", 0, deg(light=20))
-    one, two = Durations(description, BANDS[:1]), Durations(description, BANDS)
-    assert one.step_s(Pose(), step) < two.step_s(Pose(), step) < 2 * one.step_s(Pose(), step)
-    assert one.step_s(Pose(), step, 0.01) > one.step_s(Pose(), step, 0.5)
-    assert one.step_s(Pose(), replace(step, kind="dark")) == one.frames_s(replace(step, kind="dark"))
 
 
 def test_frames_that_are_kept_are_those_of_the_rig_file_in_every_band() -> None:

@@ -63,14 +63,6 @@ def test_a_half_vector_becomes_the_direction_that_has_it(
             assert mpmath.norm(middle / mpmath.norm(middle) - half) < RIGHT
 
 
-@given(st.floats(5, 80), st.floats(0.01, 5))
-def test_in_plane_the_detector_is_twice_as_far_from_the_mirror_direction(theta_i: float, theta_h: float) -> None:
-    grid = HalfVector(theta_i_deg=[theta_i], theta_h_deg=[0.0, theta_h])  # type: ignore[arg-type]
-    signed = [r if abs(phi - 180.0) < 1e-6 else -r for _, _, r, phi in grid.rows()]
-    wanted = [theta_i, theta_i - 2 * theta_h, theta_i + 2 * theta_h]
-    assert signed == pytest.approx([angle for angle in wanted if angle < 90.0], abs=math.degrees(RIGHT))
-
-
 def test_the_mirror_direction_stands_once_for_each_incidence(tmp_path: Path) -> None:
     found = plan(
         tmp_path,
@@ -233,10 +225,3 @@ def test_a_point_that_two_tables_name_is_visited_as_often_as_the_one_that_asks_f
     assert [p.theta_r_deg for p in found.points].count(20) == 2
     assert [p.theta_r_deg for p in found.points].count(10) == 1
     assert found.repeated == 1
-
-
-def test_a_list_may_be_repeated_too(tmp_path: Path) -> None:
-    (tmp_path / "points.csv").write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg\n10,20,30,40\n0,0,50,90\n")
-    found = plan(tmp_path, '[[points]]\nfile = "points.csv"\nrepeats = 2\n')
-    assert len(found.points) == 4
-    assert found.points[:2] == found.points[2:]

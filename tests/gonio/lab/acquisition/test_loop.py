@@ -14,7 +14,7 @@ from gonio.lab.acquisition.progress import Live, Silent
 from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import brdf
-from gonio.lab.rig import Frame, Pose
+from gonio.lab.rig import Pose
 from gonio.lab.rig.dng import read_raw
 from tests.command_line import some
 from tests.gonio.lab.acquisition.conftest import Measure
@@ -185,15 +185,6 @@ def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measu
     assert len(cuts) > 20
 
 
-def test_frames_of_a_step_that_was_cut_short_do_not_stay(run: Run, measure: Measure) -> None:
-    journal = run.path / "journal.jsonl"
-    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:4]))
-    with pytest.raises(Interrupted):
-        measure("run", resume=True, progress=StopAfter(1))
-    named = {frame.file for step in Run.open(run.path).steps() for frame in step.frames}
-    assert {path.name for path in (run.path / "frames").iterdir()} == named
-
-
 def test_a_failing_device_is_in_the_journal_and_everything_is_dark(measure: Measure, whole: list[StepRecord]) -> None:
     rig = Plugin(options={"fails_at": 4})
     with pytest.raises(DeviceError, match="no frame came"):
@@ -261,11 +252,6 @@ def test_frames_whose_times_do_not_grow_end_the_run(
     assert "In the rig's driver, give each Frame the rig's time_s()" in str(caught.value)
     assert caught.value.exit_code == 3
     assert rig.opened[0].log[-3:] == ["stop", "off", "park"]
-
-
-def test_a_frame_without_a_time_cannot_be_made() -> None:
-    with pytest.raises(TypeError, match="time_s"):
-        Frame(np.zeros((32, 32), np.uint16), 1.0, 64.0, 4095.0)  # type: ignore[call-arg]
 
 
 def test_a_clock_that_was_set_back_between_two_sessions(measure: Measure) -> None:

@@ -12,14 +12,13 @@ from gonio_watch.follow import Follower
 
 from gonio.config import to_toml
 from gonio.disk import MANIFEST, write_own
-from gonio.errors import ConfigError, DataError
+from gonio.errors import DataError
 from gonio.lab.acquisition import repair
-from gonio.lab.acquisition.frame_writer import label_of
 from gonio.lab.acquisition.journal import Journal, encode, read_events
 from gonio.lab.acquisition.run import AS_BEGUN, Run
 from gonio.lab.reduction import brdf
 from gonio.lab.rig.laboratory import Laboratory
-from tests.command_line import gonio, some
+from tests.command_line import some
 from tests.gonio.lab.acquisition.conftest import Measure
 from tests.gonio.numpy_rig import Plugin
 
@@ -63,17 +62,6 @@ def line_out_of(path: Path, line: int) -> None:
     lines = path.read_bytes().splitlines(keepends=True)
     del lines[line]
     path.write_bytes(b"".join(lines))
-
-
-def test_every_run_has_an_id_that_journal_and_frames_hold(measure: Measure) -> None:
-    one, other = two_of_a_plan(measure)
-    assert one.key != other.key
-    for run in (one, other):
-        assert next(iter(run.events()))["run"] == run.settings.run.id == run.key
-        for step in run.steps():
-            for frame in step.frames:
-                path = run.frame_path(frame.file)
-                assert some(label_of(path, path.read_bytes())).run == run.key
 
 
 def test_frames_of_another_run_of_the_plan_are_named_and_make_no_step(measure: Measure) -> None:
@@ -219,20 +207,6 @@ def test_an_edited_file_is_refused_whatever_became_of_the_manifest(
         measure(resume=True)
 
 
-def test_commands_refuse_an_edited_run(run: Run) -> None:
-    gonio(run.path.parent, "reduce", "run", expect=0)
-    (run.path / MANIFEST).unlink()
-    path = run.path / "run.toml"
-    path.write_bytes(path.read_bytes().replace(b"albedo = 0.99", b"albedo = 0.495", 1))
-    for words in (
-        ("reduce", "run"), ("run", "check", "run"), ("watch", "run", "--text"), ("report", "run", "--out", "page"),
-        ("compare", "run", "--models", "lambert", "--out", "page"),
-    ):  # fmt: skip
-        said = " ".join(gonio(run.path.parent, *words, expect=1).stderr.split())
-        assert "run.toml: was changed after it was written" in said, words
-        assert "restore it" in said
-
-
 def test_a_table_beside_the_frames_that_was_edited_is_refused_too(run: Run) -> None:
     """A reference's table rules every value, as run.toml does."""
     assert {"reference.csv", "certificate.xml", "camera_maps.npz"} < AS_BEGUN
@@ -312,16 +286,3 @@ def test_two_lines_that_are_gone_are_counted(run: Run) -> None:
     line_out_of(run.path / "journal.jsonl", 4)
     with pytest.raises(DataError, match=r"line 5 is missing \(2 of them"):
         read_events(run.path / "journal.jsonl")
-
-
-def test_a_torn_last_line_is_still_cut_off(run: Run, measure: Measure) -> None:
-    path = run.path / "journal.jsonl"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-20])
-    assert len(read_events(path)) == len(whole.splitlines()) - 1
-    assert len(measure(resume=True).steps()) == 9
-
-
-def test_a_resume_with_another_plan_is_still_a_matter_of_usage(run: Run, measure: Measure) -> None:
-    with pytest.raises(ConfigError, match="seed: 1 in the run, 2 now"):
-        measure(resume=True, seed=2)

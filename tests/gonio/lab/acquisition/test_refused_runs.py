@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from gonio.config import to_toml
-from gonio.disk import Staged
 from gonio.errors import ConfigError, DataError, GonioError, Interrupted
 from gonio.lab.acquisition.measure import RigChoice, carry_out, check
 from gonio.lab.acquisition.plan import Plan
@@ -151,27 +150,6 @@ def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan) -> None:
         else:
             with pytest.raises(ConfigError, match="theta_r = 0 deg"):
                 choice.schedule(plan)
-
-
-def test_a_full_disk_ends_the_run_and_it_can_go_on(
-    measure: Measure, monkeypatch: pytest.MonkeyPatch, whole: list[StepRecord]
-) -> None:
-    from gonio.lab.acquisition import frame_writer
-
-    write, count = Staged, 0
-
-    def fills_up(path: Path, data: bytes) -> Staged:
-        nonlocal count
-        count += 1
-        if count > 12:
-            raise OSError(28, "No space left on device")
-        return write(path, data)
-
-    monkeypatch.setattr(frame_writer, "Staged", fills_up)
-    with pytest.raises(DataError, match="No space left"):
-        measure("run")
-    monkeypatch.undo()
-    assert list(measure("run", resume=True).steps()) == whole
 
 
 def test_a_camera_s_own_file_is_kept_as_it_is(

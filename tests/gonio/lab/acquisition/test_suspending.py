@@ -15,7 +15,6 @@ from gonio.lab.acquisition.measure import RigChoice, carry_out
 from gonio.lab.acquisition.plan import Plan
 from gonio.lab.acquisition.progress import Silent
 from gonio.lab.acquisition.records import StepRecord
-from gonio.lab.acquisition.repair import repair
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import brdf
 from gonio.lab.rig import Frame, Health, Reading
@@ -124,25 +123,6 @@ def test_a_number_that_is_none_is_a_word_in_the_journal(measure: Measure) -> Non
     assert {step.health[0].value for step in run.steps()} == {"nan"}
 
 
-def test_a_journal_from_before_health_was_kept_reads_as_before() -> None:
-    record = StepRecord.from_json(
-        json.loads(
-            '{"n":3,"event":"step","step":2,"kind":"point","point":0,"time_s":1.5,"goal":{"light":0.1},'
-            '"pose":{"light":0.1},"flag":"","frames":[]}'
-        )
-    )
-    assert record.health == ()
-    assert "health" not in record.to_json()
-
-
-def test_repair_finds_the_health_in_the_frames(measure: Measure) -> None:
-    run, _, _ = measure("run")
-    before = list(run.steps())
-    (run.path / "journal.jsonl").unlink()
-    repair(run.path)
-    assert list(Run.open(run.path).steps()) == before
-
-
 # ---- waiting ----
 
 
@@ -221,19 +201,6 @@ def test_ctrl_c_ends_the_wait_and_the_run_goes_on_later(measure: Measure, tmp_pa
     assert kinds(run).count("suspended") == 2
 
 
-def test_a_run_that_was_killed_while_it_waited_goes_on(measure: Measure, tmp_path: Path) -> None:
-    class Killed(Told):
-        def say(self, text: str) -> None:
-            if text.startswith("waiting"):
-                raise SystemExit  # nothing that comes later is heard of
-
-    with pytest.raises(SystemExit):
-        measure("run", {"hot": HOT}, temperatures=[40.0] * 5 + [61.0], progress=Killed())
-    assert kinds(Run.open(tmp_path / "run"))[-1] == "suspended"
-    run, _, _ = measure("run", {"hot": HOT}, resume=True)
-    assert frames(run) == frames(measure("whole")[0])
-
-
 def test_what_does_not_come_back_ends_the_run_which_can_be_resumed(measure: Measure) -> None:
     rule = HOT | {"longest_s": 1e-6}
     with pytest.raises(DeviceError, match=r"suspend.hot: light temperature is 61 C.*longest_s = 1e-06 s.*--resume"):
@@ -243,21 +210,6 @@ def test_what_does_not_come_back_ends_the_run_which_can_be_resumed(measure: Meas
 
 
 # ---- rules ----
-
-
-@pytest.mark.parametrize(
-    ("rule", "says"),
-    [
-        ({"quantity": "temperature"}, "one of above, below and unless"),
-        ({"quantity": "temperature", "above": 1, "below": 2}, "one of above, below and unless"),
-        ({"quantity": "monitor", "below": 2, "dark": True}, "cannot be seen in the dark"),
-        ({"quantity": "temperature", "above": 1, "longest_s": 0}, "greater than 0"),
-        ({"quantity": "temperature", "abov": 1}, "abov"),
-    ],
-)
-def test_rules_that_make_no_sense_are_refused(rule: dict[str, object], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        describe(suspend={"x": rule})
 
 
 @pytest.mark.parametrize(

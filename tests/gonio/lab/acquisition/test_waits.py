@@ -270,12 +270,3 @@ def test_a_run_that_cannot_fit_is_begun_with_yes(measure: Measure, monkeypatch: 
     person = Person(99, lambda: None, lambda: None)
     assert names(measure("run", progress=person, yes=True))[-1] == "end"
     assert "waits where it is full (--yes)" in person.said[0]
-
-
-def test_what_a_run_needs_on_the_disk_is_its_steps_and_a_reserve() -> None:
-    need = waits.Bytes(describe(), 1)
-    dark = need.of_run(1) - waits.RESERVE
-    point = need.of_run(2) - need.of_run(1)
-    assert need.of_run(0) == 0
-    assert need.of_run(7) == dark + 6 * point + waits.RESERVE
-    assert point > need.frame  # the frames and their lines

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import gonio
 from gonio.config import to_toml
 from gonio.errors import DeviceError, Disturbed
 from gonio.lab.by_hand.assistant import CAMERA_S, Assistant
@@ -21,8 +20,7 @@ from gonio.lab.by_hand.live_view import FramePictures
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.rig import Frame, Pose, imaging, kinematics
 from gonio.lab.rig.description import Body, Reference, RigDescription
-from gonio.lab.rig.light_and_camera import Camera, Lamp
-from gonio.samples.description import SampleDescription
+from gonio.lab.rig.light_and_camera import Camera
 from tests.command_line import says, some
 from tests.gonio.lab.by_hand.test_lamp_timer import Clock
 from tests.gonio.numpy_rig import NumpyRig, describe
@@ -148,27 +146,6 @@ def test_a_spot_is_told_from_the_centre_in_pixels_and_on_the_sample(at_work: Ses
     # seen under 25 degrees, the disc is cos(25) as wide as it is high
     assert spot["minor_px"] / spot["major_px"] == pytest.approx(math.cos(math.radians(25)), abs=0.03)
     assert (told["angles_deg"]["light"], told["directions_deg"]["theta_r"]) == pytest.approx((35, 25))
-
-
-def test_the_beam_of_the_rig_file_is_outlined_where_its_light_would_be() -> None:
-    """The corners against the share of light of the pixels there, which is computed in another way."""
-    with working(rig(lamp=Lamp(beam_diameter_mm=4.0))) as at_work:
-        at_work.obey("go light 50 camera -20 tilt 10")
-        told, device = at_work.look(), at_work.device
-        view = kinematics.view(device.description, device.pose)
-    corners = np.array(told["predicted"]["beam"])
-    lit = imaging.pixel_map(device.description, view).lit
-    inside, outside = (lit[np.rint(p[:, 1]).astype(int), np.rint(p[:, 0]).astype(int)] for p in (
-        corners.mean(0) + k * (corners - corners.mean(0)) for k in (0.85, 1.15)))  # fmt: skip
-    assert (inside > 0.5).all()
-    assert (outside < 0.5).all()
-
-
-def test_the_axis_is_the_principal_point_and_the_centre_follows_the_pose() -> None:
-    with working(describe(camera=CAMERA.model_copy(update={"principal_point_px": (7.0, -4.0)}))) as at_work:
-        told = at_work.look()
-    assert told["predicted"]["axis"] == [79.5 + 7, 59.5 - 4]
-    assert told["predicted"]["centre"] == pytest.approx([79.5 + 7, 59.5 - 4])
 
 
 def test_a_region_outside_the_frame_is_not_drawn_and_the_page_says_why() -> None:
@@ -451,18 +428,3 @@ def test_every_way_out_leaves_the_lamp_dark(ends: str) -> None:
     assert seen == [True]
     assert not device.lit
     assert at_work.assistant.timer.left_s is None
-
-
-def test_a_simulated_rig_is_looked_at_in_the_same_way() -> None:
-    """Its frames are rendered with the errors of its zeros, which the spot's place shows: less than a degree."""
-    told: list[dict[str, Any]] = []
-    sample = SampleDescription(name="matt", model="lambert", parameters={"albedo": 0.5})
-    with gonio.open_rig("sim", sample=sample) as manual:
-        assistant = Assistant(manual, tell=lambda what, _: told.append(what), say=lambda _: None)
-        for order in ("go light 20 camera -30", "lamp on", "auto"):
-            assistant.obey(order)
-        assistant.look()
-        assistant.look()
-    assert told[-1]["advice"]["text"] == "good"
-    assert told[-1]["noise"]["dn"] == pytest.approx(told[-1]["noise"]["expected_dn"], rel=0.1)  # 2.2 % by the pixels
-    assert max(abs(x) for x in told[-1]["spot"]["from_centre_mm"]) < 0.1

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gonio.lab.by_hand import frame_analysis
 from gonio.lab.by_hand.live_view import Sight
 from gonio.lab.rig import Frame, Pose
 from gonio.lab.rig.description import Reference
@@ -142,16 +141,6 @@ def test_saturation_is_counted_in_the_region_and_at_its_level() -> None:
     assert told["saturated_in_region"] == 0
     told = watched.sight.told(Frame(np.full((80, 96), 4095, np.uint16), 0.1, 64.0, 4095.0, time_s=99.0))
     assert told["saturated_in_region"] == told["predicted"]["region_pixels"] > 20
-
-
-def test_the_box_of_the_focus_lies_around_the_region_in_pixels() -> None:
-    watched = Watched()
-    watched.stand()
-    box = watched.look()["focus"]["box"]
-    rows, cols = frame_analysis.focus_box(CAMERA, watched.sight.region)
-    assert box == [cols.start - 0.5, rows.start - 0.5, cols.stop - cols.start, rows.stop - rows.start]
-    assert box[0] + 0.5 * box[2] == pytest.approx(47.5, abs=1.0)
-    assert box[1] + 0.5 * box[3] == pytest.approx(39.5, abs=1.0)
 
 
 @pytest.mark.parametrize(("light_deg", "long"), [(0.0, 1.0), (60.0, 2.0)])

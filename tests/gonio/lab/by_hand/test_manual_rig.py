@@ -18,7 +18,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.lab.by_hand import scan
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.by_hand.snapshot import Snapshot
-from gonio.lab.rig import Health, Pose, Reading, motion_planning
+from gonio.lab.rig import Pose, motion_planning
 from gonio.lab.rig.description import ArmAxis, Arms
 from gonio.samples.description import SampleDescription
 from tests.command_line import gonio as run
@@ -129,13 +129,6 @@ def test_reading_a_simulated_rig_opens_nothing() -> None:
     rig = gonio.open_rig("sim")
     assert rig.read().of("light", "angle") == pytest.approx(-89, abs=0.1)  # an encoder step of 0.088 deg
     assert not rig.world.open
-
-
-def test_a_number_beyond_its_limits_is_not_good() -> None:
-    assert not Reading("light", "temperature", 90.0, "C", (0.0, 80.0)).good
-    assert Reading("light", "angle", -88.04, "deg", (-88.0, 88.0)).good
-    assert not Reading("light", "angle", -88.4, "deg", (-88.0, 88.0)).good
-    assert Health((Reading("lamp", "state", "lit"),)).of("lamp", "level") is None
 
 
 @pytest.mark.parametrize(

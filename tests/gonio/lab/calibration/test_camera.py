@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
-from gonio_sim.rig import SIM, SIM_IDEAL
+from gonio_sim.rig import SIM
 
 from gonio.config import read_toml
 from gonio.lab.commands import calibrate_camera
@@ -101,29 +101,6 @@ def test_frames_that_were_kept_give_the_same_file(bench: Path, monkeypatch: pyte
     ).stderr
     assert "the picture lost.png" in said
     assert read_toml(bench / "lost.toml")["uncertainty"] == first["uncertainty"]
-
-
-@pytest.mark.parametrize("calibrated", [False, True])
-def test_stray_light_and_nonlinearity_are_taken_out_of_a_run(bench: Path, calibrated: bool) -> None:
-    """An ideal bench but for the camera's stray light (3 % in all) and nonlinearity: 1 % off, and 0.1 % after."""
-    name = f"run-{calibrated}"
-    lines = [f"{key} = {TRUTH[key]}" for key in ("nonlinearity", "stray_light", "stray_halo", "stray_halo_px")]
-    (bench / "bent.toml").write_text("[camera]\n" + "\n".join(lines) + "\n")
-    (bench / "s.toml").write_text(SAMPLE)
-    (bench / "p.toml").write_text(PLAN)
-    rig = 'truth = "bent.toml"\n' + small(SIM_IDEAL.toml)
-    if calibrated:  # the same figures, as a calibration would say them
-        rig = re.sub(r"(?m)^\[camera\].*$", "[camera]\n" + "\n".join(lines), rig)
-    (bench / f"{name}.toml").write_text(rig)
-    assert (
-        gonio(bench, "measure", "p.toml", "--rig", f"{name}.toml", "--sample", "s.toml", "--out", name).returncode == 0
-    )
-    assert gonio(bench, "reduce", name).returncode == 0
-    away = read(bench / name / "brdf.csv")["brdf"].to_numpy() * math.pi / 0.18 - 1.0
-    if calibrated:
-        assert np.abs(away).max() < 1e-3  # two per mille are asked for
-    else:
-        assert np.abs(away).max() > 3e-3
 
 
 def test_a_calibrated_run_states_the_causes_and_stands_alone(bench: Path, tmp_path: Path) -> None:
@@ -257,17 +234,6 @@ def darkened(bench: Path, folder: Path, count: int) -> Path:
 
     copied(bench, folder, darker)
     return folder
-
-
-def test_a_pair_that_differs_is_left_out_and_named(bench: Path, tmp_path: Path) -> None:
-    from gonio.lab.acquisition.measure import find_rig
-    from gonio.lab.calibration.camera import calibrate
-    from gonio.lab.calibration.camera_frames import read_list
-
-    rig = find_rig(str(bench / "rig.toml")).description
-    found = calibrate(read_list(darkened(bench, tmp_path / "one", 1)), rig)
-    assert found.measured["pairs"] == read_toml(bench / "camera.toml")["measured"]["pairs"] - 1
-    assert sum("differ by" in note for note in found.notes) == 1
 
 
 def test_many_pairs_that_differ_are_refused(bench: Path, tmp_path: Path) -> None:

@@ -116,16 +116,6 @@ def test_the_sheet_shows_the_markers_that_are_looked_for(tmp_path: Path, name: s
         fiducials.print_sheet(marks, 20.0, tmp_path / "sheet.pdf")
 
 
-def test_markers_have_to_fit_around_the_sample() -> None:
-    tables = tomllib.loads(SIM.toml)
-    tables["holder"] |= {"fiducials": {"ring_mm": 12.0, "count": 4}}
-    with pytest.raises(ConfigError, match="reaches into the sample"):
-        parse(RigDescription, tables, "test")
-    tables["holder"] |= {"fiducials": {"ring_mm": 18.0, "count": 20}}
-    with pytest.raises(ConfigError, match="do not fit on a circle"):
-        parse(RigDescription, tables, "test")
-
-
 def test_command_refuses_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "old.toml").write_text("")
     (tmp_path / "none").mkdir()

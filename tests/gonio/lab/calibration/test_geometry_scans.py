@@ -75,18 +75,6 @@ def test_the_file_holds_the_truth_within_its_uncertainties(calibrated: Path) -> 
         assert u[path] < 0.03  # 70 poses with steps of 0.088 deg; the whole set comes to half of it
 
 
-def test_each_arm_is_known_over_its_range(calibrated: Path) -> None:
-    """0.04 deg: a quarter of the poses, for which the fit itself states 0.02 deg."""
-    values, read_deg = read_toml(calibrated / "geometry.toml")["values"]["arms"], np.linspace(-70.0, 70.0, 50)
-    for arm in ("light", "camera"):
-        errors = []
-        for axis in (values[arm], TRUTH["arms"][arm]):
-            turn = np.radians(read_deg - axis["zero_offset_deg"])
-            harmonics = sum(c * np.cos(k * turn) + s * np.sin(k * turn) for k, c, s in axis["harmonics_deg"])
-            errors.append(axis["zero_offset_deg"] + harmonics)
-        assert math.sqrt(float(np.mean((errors[0] - errors[1]) ** 2))) < 0.04, arm
-
-
 @pytest.mark.slow
 def test_kept_sightings_are_fitted_again_and_move_nothing(calibrated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gonio(
@@ -141,47 +129,10 @@ def test_arms_that_cannot_face_each_other_are_told_before_anything_moves(tmp_pat
     assert not (tmp_path / "g-sightings").exists()
 
 
-def test_a_sheet_of_markers_needs_them_in_the_rig_file(tmp_path: Path) -> None:
-    rig = tables()
-    del rig["holder"]["fiducials"]
-    assert "holder.fiducials" in refused(tmp_path, rig, "--print-fiducials", "sheet.svg")
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--images", "nowhere"), "--images and --board go together"),
-        (("--holder", "sphere"), '"sphere" is none of mirror, empty'),
-        (("--scans", "nowhere"), "nowhere"),
-        (("--scans", "nowhere", "--holder", "mirror"), "nothing to do there"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
-    assert said in refused(tmp_path, tables(), *options)
-
-
 def test_sightings_of_another_rig_are_refused(calibrated: Path, tmp_path: Path) -> None:
     rig = tables()
     rig["holder"]["axes"] = ["spin"]
     assert "was made with the axes" in refused(tmp_path, rig, "--scans", str(calibrated / "geometry-sightings"))
-
-
-def test_empty_pictures_show_no_board(tmp_path: Path) -> None:
-    import cv2
-
-    (tmp_path / "rig.toml").write_text(to_toml(tables()))
-    (tmp_path / "board.toml").write_text(
-        'squares = [5, 7]\nsquare_mm = 40.0\nmarker_mm = 20.0\ndictionary = "DICT_6X6_250"\n'
-    )
-    (tmp_path / "pictures").mkdir()
-    for number in range(3):
-        cv2.imwrite(str(tmp_path / "pictures" / f"{number}.png"), np.full((196, 260), 90, np.uint8))
-    done = gonio(
-        tmp_path, "calibrate", "geometry", "--rig", "rig.toml", "--images", "pictures", "--board", "board.toml",
-        "--out", "g.toml", expect=1,
-    )  # fmt: skip
-    assert "board" in done.stderr
-    assert not (tmp_path / "g.toml").exists()
 
 
 @pytest.mark.parametrize(

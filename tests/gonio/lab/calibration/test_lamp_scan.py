@@ -233,17 +233,6 @@ def test_a_calibration_that_is_out_of_date_does_not_keep_its_successor_from_bein
     assert done.returncode == 0, done.stderr
 
 
-def test_the_beginning_of_a_warm_up_does_not_pass_for_a_drift(tmp_path: Path) -> None:
-    write(tmp_path)
-    t = np.repeat(np.arange(0.0, 245.0, 15.0), 4) + np.tile([0.0, 0.1, 0.2, 0.3], 17)
-    level = 1.0 - 0.06 * np.exp(-t / 400.0)  # four minutes of a lamp that needs half an hour
-    signal = 500.0 * level * (1.0 + 0.003 * np.random.default_rng(0).standard_normal(t.size))
-    series(t, signal).to_csv(tmp_path / "short.csv", index=False)
-    said = calibrated(tmp_path, "--series", "short.csv")
-    assert (said.returncode, (tmp_path / "light.toml").exists()) == (1, False)
-    assert "measure for longer" in said.stderr
-
-
 def test_a_file_that_cannot_be_written_is_named_as_its_user_knows_it(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"light\.toml") as caught:
         write_whole(tmp_path / "nowhere" / "light.toml", b"")

@@ -114,15 +114,6 @@ def test_a_step_of_the_lamp_is_refused_and_told_where() -> None:
         found.require_model()
 
 
-def test_a_flickering_monitor_frame_is_told_and_does_not_make_the_noise() -> None:
-    t = times()
-    signal = noisy(t, 4, level(t))
-    signal[300] *= 1.2
-    found = lamp_stability.fit(t, signal, SHOT * signal)
-    assert t[300] in found.outliers
-    assert found.noise == pytest.approx(NOISE, rel=0.15)  # three of its u
-
-
 def test_frames_beyond_five_standard_deviations_are_told_and_no_others() -> None:
     t = times()
     signal, sigma = level(t), math.hypot(NOISE, SHOT)

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from gonio.errors import DataError
 from gonio.lab.calibration import linearity, photon_transfer
 from gonio.lab.calibration.photon_transfer import CORRELATED, evened, inside
-from gonio.lab.rig.light_and_camera import Camera, bent, straightened
+from gonio.lab.rig.light_and_camera import Camera
 from gonio.typing import Floats
 from tests.command_line import some
 from tests.places import measured
@@ -100,13 +100,6 @@ def test_unevenness_is_that_of_the_standard(monkeypatch: pytest.MonkeyPatch) -> 
     # nothing is lost by the split, however few rows and columns there are
     for each in (found, photon_transfer.unevenness((rows[:6] + cols[:, :5] + random.normal(0, 3.0, (6, 5))), 2.0)):
         assert each.total == pytest.approx(math.sqrt(each.row**2 + each.column**2 + each.pixel**2))
-
-
-def test_nonlinearity_and_its_inverse() -> None:
-    camera = CAMERA.model_copy(update={"nonlinearity": (-0.02, 0.008)})
-    x = np.linspace(-20.0, 4000.0, 200)
-    assert np.allclose(straightened(camera, bent(camera, x)), x, atol=1e-7)
-    assert straightened(CAMERA, x) is x
 
 
 @pytest.mark.slow

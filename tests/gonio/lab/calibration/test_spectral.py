@@ -13,21 +13,6 @@ from gonio.lab.calibration.spectral import polarised
 from gonio.lab.rig.light_and_camera import Band, Bands, Tunable
 
 
-def test_centre_and_width_of_noisy_gaussian_bands_have_honest_uncertainties() -> None:
-    """Forty spectra: the spread of a pull is 1 +- 0.11."""
-    x = np.arange(520.0, 580.0, 0.5)
-    clean = np.exp(-4.0 * math.log(2.0) * ((x - 550.3) / 10.0) ** 2)
-    pulls = []
-    for seed in range(40):
-        y = clean + 0.003 * np.random.default_rng(seed).standard_normal(x.size)
-        one = spectral.spectrum("b", x, y, np.full(x.size, 0.003))
-        pulls.append([(one.centre_nm - 550.3) / one.u_centre_nm, (one.fwhm_nm - 10.0) / one.u_fwhm_nm])
-    table = np.array(pulls)
-    assert np.all(abs(table.mean(axis=0)) < 0.6)
-    assert 0.6 < table[:, 0].std() < 1.6
-    assert table[:, 1].std() < 1.3  # the larger noise of the two values around a crossing counts: cautious
-
-
 @pytest.mark.parametrize("noise", [0.001, 0.005, 0.01])
 def test_where_wavelengths_lie_does_not_move_the_centroid(noise: float) -> None:
     """A cut at the baseline moved it by up to 3 u. Of 200 spectra the spread of a pull is 1 +- 0.05."""

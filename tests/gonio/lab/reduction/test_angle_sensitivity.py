@@ -64,12 +64,6 @@ def test_overlap_of_caps_against_counting() -> None:
             assert overlap(offset, first, second) == pytest.approx(np.mean(chord <= 2 * math.sin(large / 2)), abs=4e-3)
 
 
-def test_overlap_of_equal_caps_falls_linearly() -> None:
-    """1 - 2 d / (pi r) to first order in d, for caps so small that they are flat."""
-    assert float(overlap(1e-7, 1e-3, 1e-3)) == pytest.approx(1 - 2e-4 / math.pi, abs=1e-8)
-    assert float(overlap(2e-3, 1e-3, 1e-3)) == 0.0
-
-
 @pytest.mark.parametrize("theta", [0.0, 1e-9, 30.0, 75.0])
 def test_mirror_offset(theta: float) -> None:
     assert at(theta, theta).mirror_offset == pytest.approx(0.0, abs=1e-15)

@@ -165,28 +165,6 @@ def test_dim_points_keep_their_sign_and_their_scatter(tmp_path: Path) -> None:
     assert 0.75 < z.std() < 1.2
 
 
-@pytest.mark.slow
-def test_the_noise_of_the_dark_frames_is_common_to_all_points(tmp_path: Path) -> None:
-    """Few dark frames and a black sample: all estimates of a run are off together, and the table says by how much."""
-    description = describe(camera=NOISY, acquisition={"roi_radius_mm": 2.0, "dark_frames": 2})
-    points = [in_plane(20.0, float(r)) for r in range(0, 80, 8)]
-    means, chi_squares = [], []
-    for seed in range(12):
-        maker = Maker(tmp_path, description, lambda d: 0.0, np.random.default_rng(seed))
-        table = reduce(maker.make(points, (0.5, 0.5, 0.125)))
-        error = table["brdf"].to_numpy()
-        common = table[[name for name in table.columns if name.startswith("s_")]].to_numpy()
-        assert (table["s_dark_1"] < 0).all()  # more dark signal, less light
-        covariance = np.diag(table["u_random"] ** 2) + common @ common.T
-        weights = np.linalg.solve(covariance, np.ones(error.size))
-        means.append(weights @ error / math.sqrt(weights.sum()))
-        chi_squares.append(error @ np.linalg.solve(covariance, error))
-    # 12 standard normal numbers: their root mean square is 1 +- 0.2 (2.1, were the errors taken as independent);
-    # chi-square of 120 values, for each: 1 +- 0.13; three of both
-    assert 0.4 < math.sqrt(np.mean(np.square(means))) < 1.6
-    assert 0.61 < np.mean(chi_squares) / len(points) < 1.39
-
-
 def test_a_drifting_lamp_is_followed(tmp_path: Path) -> None:
     """0.5 %/h would be lost in this short run: 40 %/h is not."""
     rng = np.random.default_rng(3)
@@ -222,32 +200,6 @@ def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
     account = table.attrs["provenance"]["reference"][0]
     assert account["drift_per_hour"] is None  # not 0 +- 0
     assert account["u_drift_per_hour"] is None
-
-
-def test_a_run_whose_frames_all_have_one_time(tmp_path: Path) -> None:
-    """A lamp that drifts by 60 %/h, and a rig that stamped nothing: no drift is made up, and u_brdf holds it."""
-    description = describe(camera=NOISY, reference={"frames": 4})
-    maker = Maker(tmp_path, description, glossy, np.random.default_rng(4), lamp=lambda t: 1.0 + 0.6 * t / 3600)
-    run = maker.make(POINTS, (0.25, 0.0625), every=3)
-    run.taken = [replace(s, frames=tuple(replace(frame, time_s=0.0) for frame in s.frames)) for s in run.taken]
-    table = reduce(run)
-    assert "have one and the same time, so a drift of the lamp is not in u_brdf except" in table.attrs["notes"][0]
-    assert not any("straight line" in note for note in table.attrs["notes"])
-    assert np.all(table["s_lamp_drift"] == 0)
-    assert np.mean(abs(pulls(table, glossy)) <= 2) > 0.85
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_run_cut_to_its_first_visit_has_the_uncertainty_of_its_noise(tmp_path: Path, seed: int) -> None:
-    """Against the same run with all of its visits: one visit of four leaves out noise of level and drift."""
-    description = describe(camera=NOISY, reference={"frames": 8})
-    run = Maker(tmp_path, description, glossy, np.random.default_rng(seed)).make(POINTS, (0.25, 0.0625), every=3)
-    whole = reduce(run)
-    first = next(e.step for e in run.taken if e.kind == "reference")
-    run.taken = [e for e in run.taken if e.kind != "reference" or e.step == first]
-    cut = reduce(run)
-    assert np.all(cut["u_brdf"] < 1.5 * whole["u_brdf"])
-    assert np.mean(abs(pulls(cut, glossy)) <= 2) > 0.85
 
 
 def test_visits_that_were_lost_are_told(tmp_path: Path) -> None:
@@ -313,36 +265,6 @@ def test_zeros_of_the_arms_are_common_causes_with_their_cosine(tmp_path: Path) -
     np.testing.assert_allclose(table["s_reference"], 0.004 * table["brdf"], rtol=1e-12)
 
 
-@pytest.mark.slow
-def test_a_zero_that_is_off_shifts_the_table_by_its_column(tmp_path: Path) -> None:
-    """The light truly stands 0.05 deg off; a smooth lobe: the column tells the shift of every value."""
-    off = math.radians(0.05)
-    arms = Arms(light=ArmAxis(zero_u_deg=0.05), camera=ArmAxis(zero_u_deg=0.05))
-
-    class Off(Maker):
-        def stand(self, read: Pose) -> Pose:
-            return Pose(light=read.light + off, camera=read.camera)
-
-    points = [in_plane(i, float(r)) for i in (25.0, 30.0, 35.0) for r in range(-60, 71, 5) if abs(r + i) > 5]
-    table = reduce(Off(tmp_path, describe(arms=arms), glossy).make(points, (0.5,)))
-    shift = table["brdf"].to_numpy() - truth(table, glossy)
-    inner = (table["theta_i_deg"] == 30) & (table["theta_r_deg"] < 66)
-    # finite differences of a lobe 29 deg wide over 5 deg: (5/29)^2 of the slope; and whole DN
-    np.testing.assert_allclose(shift[inner], table["s_theta_i_zero"][inner], rtol=0.1, atol=1.5e-5)
-
-
-def test_pixels_of_both_regions_cancel(tmp_path: Path) -> None:
-    """One region inside the other: what is left of PRNU is that of the pixels which they do not share."""
-    run = Maker(tmp_path, describe(camera={"prnu": 0.01}), lambda d: 0.2).make(
-        [in_plane(0.0, 45.0), in_plane(0.0, 70.0)], (0.5,)
-    )
-    table = reduce(run)
-    u = np.linalg.norm(table[["u_random", "s_prnu_1", "s_prnu_2", "s_prnu_3"]], axis=1) / table["brdf"]
-    assert u[0] < 1e-5  # the very pixels of the visits
-    n, m = (pixels_of_a_disc(t) for t in (70.0, 45.0))
-    assert u[1] == pytest.approx(0.01 * math.sqrt(1 / n - 1 / m), rel=0.05)
-
-
 def test_points_that_use_the_same_pixels_share_their_responsivities(tmp_path: Path) -> None:
     """Means of independent pixels over a point's region, less that over the reference's: their covariance."""
     at = [(0.0, 70.0), (30.0, 70.0), (0.0, 20.0), (30.0, 20.0), (0.0, 60.0), (0.0, 50.0)]
@@ -363,11 +285,6 @@ def test_points_that_use_the_same_pixels_share_their_responsivities(tmp_path: Pa
     assert stated[0, 1] == pytest.approx(true[0, 1], rel=1e-3)
 
 
-def pixels_of_a_disc(theta_r_deg: float) -> float:
-    pixel = 0.025 * 1000 * (1 / 100 - 1 / 1000)
-    return math.pi * 3.0**2 * math.cos(math.radians(theta_r_deg)) / pixel**2
-
-
 def test_a_lamp_that_flickers_more_than_the_rig_file_says_is_noticed(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     for noise, noted in ((0.005, False), (0.001, True)):
@@ -375,14 +292,6 @@ def test_a_lamp_that_flickers_more_than_the_rig_file_says_is_noticed(tmp_path: P
         maker = Maker(tmp_path, description, glossy, rng, lamp=lambda t: 1.0 + 0.005 * rng.standard_normal())
         table = reduce(maker.make(POINTS, (0.25, 0.25, 0.0625)))
         assert any("u_random is too small" in note for note in table.attrs["notes"]) is noted
-
-
-def test_a_reference_beside_the_sample(tmp_path: Path) -> None:
-    """It is nearer to the lamp on one side, and seen by other pixels: both are in the geometry."""
-    beside = {"how": "beside", "offset_mm": (-3.5, 2.0), "theta_i_deg": 40.0, "theta_r_deg": 0.0, "diameter_mm": 4.0}
-    description = describe(reference=beside, acquisition={"roi_radius_mm": 1.5})
-    table = reduce(Maker(tmp_path, description, glossy).make(POINTS, (0.25,)))
-    np.testing.assert_allclose(table["brdf"], truth(table, glossy), rtol=2e-4)  # whole DN of 1000
 
 
 def test_a_reference_known_by_a_table(tmp_path: Path) -> None:

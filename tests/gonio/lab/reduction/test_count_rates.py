@@ -26,12 +26,6 @@ LIGHT = np.array([[100.0, 1000.0], [2000.0, 3000.0]])
 DARK = np.array([[20.0, 50.0], [80.0, 200.0]])
 
 
-def test_without_a_curve_the_dark_signal_is_a_difference() -> None:
-    alone, with_dark = without_dark(camera(), BLACK + LIGHT + DARK, BLACK + DARK, BLACK)
-    np.testing.assert_allclose(alone, LIGHT, rtol=1e-12)
-    np.testing.assert_allclose(with_dark, LIGHT + DARK, rtol=1e-12)
-
-
 def test_with_a_curve_it_is_a_difference_of_what_is_straightened() -> None:
     """Signals above the black level read y (1 + c1 y / white + c2 (y / white)^2)."""
 

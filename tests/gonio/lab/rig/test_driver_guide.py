@@ -121,15 +121,6 @@ def test_the_guide_s_rig_names_wrong_settings(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_rig_that_does_not_stamp_its_frames_is_told_how_to(tmp_path: Path, stranger: str) -> None:
-    module = Path(stranger) / "stranger.py"
-    module.write_text(module.read_text().replace("time_s=begun", "time_s=0.0"))
-    done = beside(stranger, tmp_path, "measure", "plan.toml", "--rig", "bench.toml", "--out", "run", "--yes")
-    assert done.returncode == 3
-    assert 'the camera of the rig "bench in room 3" stamps a frame with time_s = 0.0' in done.stderr
-    assert "time_s() at the start of its exposure" in done.stderr
-
-
 def test_the_picture_lies_as_the_guide_says() -> None:
     """Marks on the sample's +x and +y side, as the shared geometry sees them with the camera at 0 and 40 degrees."""
     from gonio.lab.rig import Pose

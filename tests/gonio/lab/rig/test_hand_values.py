@@ -65,22 +65,6 @@ def test_a_bent_response_is_straightened() -> None:
     np.testing.assert_allclose(linear, [0.0, 10.2, 255.0, 255.0], rtol=1e-12)  # rounding
 
 
-# Places in a tile, from its lower left, and what is there
-AT = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.9, 0.9], [0.5, 0.79], [0.5, 0.81], [0.49, 0.51], [0.51, 0.21]])
-
-
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("checker", [1, 0, 0, 1, 1, 1, 0, 0]),
-        ("stripes", [1, 0, 1, 0, 0, 0, 1, 0]),
-        ("dots", [0, 0, 0, 0, 1, 0, 1, 1]),
-    ],
-)
-def test_patterns_that_repeat(name: str, values: list[int]) -> None:
-    assert PATTERNS[name][0](AT, np.zeros_like(AT)).tolist() == values
-
-
 def test_bricks_have_mortar_and_shades_of_their_own() -> None:
     """Two courses to a tile. Mortar: 6 % of a course above and below, 1.5 % of a brick at each end."""
     pattern, shades = PATTERNS["bricks"]

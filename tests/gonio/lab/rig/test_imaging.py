@@ -95,35 +95,6 @@ def test_a_lambertian_lamp_falls_off_with_the_cosine_at_the_lamp(pose: Pose) -> 
     np.testing.assert_array_equal(before.weight, before.falloff * before.cos_theta_i * before.distance_factor)
 
 
-@pytest.mark.parametrize(("theta_i_deg", "spot"), [(0.0, (14.0, 0.0)), (50.0, (14.0, 0.0)), (50.0, (-3.0, 9.0))])
-def test_a_lambertian_lamp_lights_a_spot_as_a_glowing_disc_does(theta_i_deg: float, spot: tuple[float, float]) -> None:
-    """Irradiance beside the centre over that at the centre: L cos cos / d^2 summed over a disc of 0.1 mm at 300 mm.
-
-    The disc's own size changes the ratio by a few (r/d)^2 (x/d) = (0.1/300)^2 (14/300) = 5e-9.
-    """
-    theta, distance = math.radians(theta_i_deg), 300.0
-    axis = np.array([math.sin(theta), 0.0, math.cos(theta)])
-    u, v = np.array([math.cos(theta), 0.0, -math.sin(theta)]), np.array([0.0, 1.0, 0.0])
-    a, b = np.meshgrid(*[0.1 * ((np.arange(200) + 0.5) / 100 - 1)] * 2)
-    on_disc = a**2 + b**2 <= 0.1**2
-    elements = distance * axis + a[on_disc][:, None] * u + b[on_disc][:, None] * v
-
-    def irradiance(x: float, y: float) -> float:
-        beam = elements - np.array([x, y, 0.0])
-        length = np.linalg.norm(beam, axis=1)
-        return float(np.sum((beam @ axis / length) * (beam[:, 2] / length) / length**2))
-
-    geometry = Geometry(light_distance_mm=distance, camera_distance_mm=500.0)
-    wide = Camera(width=64, height=48, pixel_um=40.0, focal_length_mm=30.0)
-    description = rig(lamp=Lamp(radiation="lambertian"), geometry=geometry, camera=wide)
-    seen = pixel_map(description, view(description, Pose(light=theta, camera=-0.3)))
-    row, column = np.unravel_index(np.nanargmin((seen.x_mm - spot[0]) ** 2 + (seen.y_mm - spot[1]) ** 2), (48, 64))
-    at = float(seen.x_mm[row, column]), float(seen.y_mm[row, column])
-    assert math.dist(at, spot) < 0.6  # half a pixel's diagonal
-    expected = irradiance(*at) / irradiance(0.0, 0.0)
-    assert seen.weight[row, column] / seen.falloff[row, column] / math.cos(theta) == pytest.approx(expected, rel=3e-8)
-
-
 def test_a_rectangle_is_a_part_of_the_frame() -> None:
     description = rig()
     at = view(description, POSES[2])
@@ -187,19 +158,6 @@ def test_a_camera_behind_the_plane_sees_each_spot_where_the_line_of_sight_meets_
     region = roi(description, at)
     centre = np.hypot(seen.x_mm, seen.y_mm)[region.rows, region.cols][region.mask]
     assert centre.max() <= description.acquisition.roi_radius_mm
-
-
-@pytest.mark.parametrize("pose", POSES)
-def test_the_region_of_interest_is_a_disc_on_the_sample(pose: Pose) -> None:
-    description = rig(acquisition=Acquisition(roi_radius_mm=2.0))
-    at = view(description, pose)
-    region, whole = roi(description, at), pixel_map(description, at)
-    mask = np.zeros((48, 64), bool)
-    mask[region.rows, region.cols] = region.mask
-    np.testing.assert_array_equal(mask, np.hypot(whole.x_mm, whole.y_mm) <= 2.0)
-    assert region.count == mask.sum()
-    image = np.arange(48 * 64).reshape(48, 64)
-    np.testing.assert_array_equal(region.of(image), image[mask])
 
 
 def test_a_reference_beside_the_sample_has_a_region_of_its_own() -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gonio_sim.rig import SIM_IDEAL
-from scipy.spatial.distance import cdist
 
 from gonio.config import parse
 from gonio.errors import ConfigError
@@ -17,8 +16,6 @@ from gonio.lab.rig.description import Acquisition, ArmAxis, Arms, Body, Cable, G
 from gonio.lab.rig.inverse_kinematics import Unreachable, reach
 from gonio.lab.rig.light_and_camera import Camera, Lamp
 from gonio.lab.rig.motion_planning import Blocked
-from tests.command_line import some
-from tests.gonio.lab.rig.plain_rig import rotation
 from tests.gonio.numpy_rig import describe
 
 AXIS = ArmAxis(limits_deg=(-89.0, 89.0))
@@ -40,61 +37,6 @@ RIG = describe(
 
 def deg(light: float, camera: float, tilt: float = 0.0, spin: float = 0.0) -> Pose:
     return Pose(math.radians(light), math.radians(camera), math.radians(tilt), math.radians(spin))
-
-
-def points_of(body: Body, pose: Pose) -> tuple[np.ndarray, float]:
-    """Points of a body in the lab, close together, and how far it reaches around them [mm]."""
-    if body.from_mm is not None and body.to_mm is not None and body.radius_mm is not None:
-        a, b = np.array(body.from_mm), np.array(body.to_mm)
-        points, around = a + np.linspace(0, 1, 60)[:, None] * (b - a), body.radius_mm
-    else:
-        sides = [
-            c + np.linspace(-s / 2, s / 2, 6) for c, s in zip(some(body.centre_mm), some(body.size_mm), strict=True)
-        ]
-        points, around = np.array(list(itertools.product(*sides))), 0.0
-    turned = {
-        "bench": np.eye(3),
-        "light": rotation("y", pose.light),
-        "camera": rotation("z", pose.azimuth) @ rotation("y", pose.camera),
-        "tilt": rotation("x", -pose.tilt),
-        "spin": rotation("x", -pose.tilt) @ rotation("z", pose.spin),
-    }[body.on]
-    return points @ turned.T, around
-
-
-def gap(one: Body, other: Body, pose: Pose) -> float:
-    """Smallest distance between points of two bodies: the truth, from above."""
-    (a, around_a), (b, around_b) = points_of(one, pose), points_of(other, pose)
-    return float(cdist(a, b).min()) - around_a - around_b
-
-
-def heads() -> tuple[Body, Body]:
-    light = (0.0, 0.0, HEADS.light_distance_mm)
-    camera = (0.0, 0.0, HEADS.camera_distance_mm)
-    return (
-        Body(name="source head", on="light", from_mm=light, to_mm=light, radius_mm=HEADS.light_body_radius_mm),
-        Body(name="camera head", on="camera", from_mm=camera, to_mm=camera, radius_mm=HEADS.camera_body_radius_mm),
-    )
-
-
-def test_touching_agrees_with_a_cloud_of_points() -> None:
-    rng = np.random.default_rng(1)
-    rig = RIG.model_copy(update={"bodies": BARS})
-    every = {body.name: body for body in (*BARS, *heads())}
-    seen = 0
-    for _ in range(20):
-        pose = Pose(*np.radians([*rng.uniform(-89, 89, 2), *rng.uniform(-80, 80, 2)]))
-        found = {frozenset(pair) for pair in motion_planning.touching(rig, pose)}
-        seen += len(found)
-        for one, other in itertools.combinations(every.values(), 2):
-            if one.on == other.on:
-                continue
-            distance = gap(one, other, pose)
-            if distance < 0.0:
-                assert frozenset((one.name, other.name)) in found
-            elif distance > 35.0:  # points lie up to 30 mm apart, and capsules that cover a box reach beyond it
-                assert frozenset((one.name, other.name)) not in found
-    assert seen > 5
 
 
 def sampled(rng: np.random.Generator, start: Pose, goal: Pose) -> list[Pose]:
@@ -202,13 +144,6 @@ def test_a_place_to_park_needs_ways_there_and_back() -> None:
     )
     with pytest.raises(ConfigError, match=r"^axes.light.park_deg = 70, axes.camera.park_deg = 20: .* camera head"):
         motion_planning.require_parking(rig, {"light": 70.0, "camera": 20.0}, "axes.{}.park_deg")
-
-
-def test_bodies_need_one_whole_shape() -> None:
-    table = {"rig": "sim", "name": "x", "bands": {"list": [{"name": "g", "centre_nm": 550, "fwhm_nm": 10}]}}
-    for shape in ({"from_mm": [0, 0, 0], "to_mm": [0, 0, 1]}, {"radius_mm": 1.0, "centre_mm": [0, 0, 0]}, {}):
-        with pytest.raises(ConfigError, match=r'body "bar" needs either from_mm, to_mm and radius_mm'):
-            parse(RigDescription, table | {"bodies": [{"name": "bar", "on": "light", **shape}]}, "rig.toml")
 
 
 def test_a_box_is_as_large_as_it_is() -> None:

@@ -91,13 +91,3 @@ def test_an_improved_way_is_near_the_best_of_all_orders(seed: int, side: Floats)
     assert best - 1e-9 <= closed_s(at, side, found) <= 1.15 * best
     again = _short_path.improved(*rig(at, side), everyone(7), found, 50)
     assert again.tolist() == found.tolist(), "nothing more is gained"
-
-
-def test_a_shuffled_line_is_put_in_order() -> None:
-    """Thirty poses of one axis, approached from below: up in order, and back in one go."""
-    order = np.random.default_rng(4).permutation(30)
-    at = np.zeros((31, 2))
-    at[:30, 0] = 0.06 * (1 + order)
-    found = _short_path.improved(*rig(at, SIDES[0]), everyone(31), np.arange(30), 100)
-    assert closed_s(at, SIDES[0], found) <= 1.05 * closed_s(at, SIDES[0], np.argsort(order))
-    assert closed_s(at, SIDES[0], found) < 0.8 * closed_s(at, SIDES[0], np.arange(30))
