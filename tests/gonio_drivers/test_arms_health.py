@@ -5,7 +5,7 @@ import itertools
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -233,24 +233,6 @@ def test_an_unwell_servo_stops_every_axis(arms: ServoArms, line: Line, fault: st
         arms.move(pose(0, 0, 0))
 
 
-def test_heat_is_noticed_before_the_servo_lets_go(arms: ServoArms, line: Line) -> None:
-    line.servos[3].temperature_c = line.servos[3].get("Temperature Limit") - 1
-    with pytest.raises(DeviceError, match=r"servo id 3 is at 79 C, and its limit is 80 C"):
-        arms.read()
-
-
-def test_a_flicker_of_the_encoder_is_no_motion(arms: ServoArms, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two counts to one side while it landed, and two to the other side: four apart, and nothing has moved."""
-    flicker: Iterator[int] = itertools.repeat(2)
-    put = line.servos[1].registers.put
-    flickers = lambda name, value: put(name, value + (next(flicker) if name == "Present Position" else 0))  # noqa: E731
-    monkeypatch.setattr(line.servos[1].registers, "put", flickers)
-    arms.move(pose(10, 0, 0))
-    flicker = itertools.cycle([-2, 2])
-    for _ in range(4):
-        arms.still()
-
-
 def test_an_axis_that_has_let_go_is_noticed(arms: ServoArms, line: Line) -> None:
     arms.move(pose(0, 0, 0))
     line.servos[3].write(64, b"\x00")
@@ -323,10 +305,9 @@ def test_models_speeds_delays_and_ways_of_mounting(
 
 @pytest.mark.parametrize("fault", ["silence", "late-reply", "corrupt-crc", "truncated-packet", "noise"])
 def test_wire_faults_are_mended(arms: ServoArms, line: Line, fault: str) -> None:
-    arms.move(pose(0, 0, 0))
     for k in (1, 2, 3):
         line.faults.arm(fault, servo=k)
-        assert lands(arms, 5 * k, -5 * k, k)
+    assert lands(arms, -45, 0, 30)
     assert line.faults.fired == [fault] * 3
 
 

@@ -6,19 +6,16 @@ import pty
 import random
 import select
 import threading
-import time
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import serial
-from gonio_drivers import control_table, dynamixel, patience, ports, sdk
+from gonio_drivers import control_table, dynamixel, ports, sdk
 from gonio_drivers.dynamixel import Bus
 from gonio_sim.wire import protocol2 as p2
 
 from gonio.errors import DeviceError
-from tests.gonio_drivers.conftest import BAUD, HANGS_S, Line, deaf_to
+from tests.gonio_drivers.conftest import BAUD, Line, deaf_to
 
 
 @pytest.fixture
@@ -119,50 +116,6 @@ def test_a_line_that_is_never_silent_is_no_servo_bus(line: Line, monkeypatch: py
             bus.discover()
 
 
-def test_what_lies_on_a_computer_that_was_held_up_is_heard(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    held_up_s = 0.0
-    armed = False
-    read, write = sdk.ExclusivePort.readPort, sdk.ExclusivePort.writePort
-
-    def written(port: sdk.ExclusivePort, packet: list[int]) -> int:
-        nonlocal armed
-        armed = True
-        return write(port, packet)
-
-    def held_up(port: sdk.ExclusivePort, length: int) -> bytes:
-        nonlocal armed, held_up_s
-        if not armed:
-            return read(port, length)
-        armed = False
-        assert select.select([port.ser.fileno()], [], [], HANGS_S)[0]
-        held_up_s = 1e3  # it looked just before the answer came, and comes to the clock long after
-        return b""
-
-    held_up_clock = SimpleNamespace(monotonic=lambda: time.monotonic() + held_up_s, sleep=time.sleep)
-    monkeypatch.setattr(dynamixel, "clock", held_up_clock)
-    monkeypatch.setattr(patience, "clock", held_up_clock)
-    monkeypatch.setattr(sdk.ExclusivePort, "writePort", written)
-    monkeypatch.setattr(sdk.ExclusivePort, "readPort", held_up)
-    with Bus(line.port, BAUD) as bus:
-        heard = bus.overhear(2, p2.PING, listen_s=0.02)
-    assert len(list(sdk.Packets().whole(heard))) == 1
-
-
-def test_a_line_that_babbles_is_not_overheard_for_ever(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    looks = 0
-
-    def babble(port: sdk.ExclusivePort, length: int) -> bytes:
-        nonlocal looks
-        looks += 1
-        return b"\x00" if looks % 2 == 0 else b""
-
-    monkeypatch.setattr(dynamixel, "BABBLE_S", 0.01)
-    with Bus(line.port, BAUD) as bus:
-        monkeypatch.setattr(bus, "_calm", lambda quiet_s: None)
-        monkeypatch.setattr(sdk.ExclusivePort, "readPort", babble)
-        assert 0 < len(bus.overhear(2, p2.PING, listen_s=0.02)) <= dynamixel.LONGEST + 1
-
-
 def test_values_are_signed(line: Line) -> None:
     line.servos[1].write(11, b"\x04")  # extended position mode
     line.servos[1].write(116, (-300).to_bytes(4, "little", signed=True))
@@ -259,18 +212,3 @@ def test_a_line_that_takes_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> N
         line.write(bytes(1_000_000))
     for descriptor in (slave, master):
         os.close(descriptor)
-
-
-def test_for_an_absent_servo_is_waited_asleep(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    with Bus(line.port, BAUD) as bus:
-        looks, look = [], bus._port.readPort
-
-        def looked(length: int) -> Any:
-            looks.append(1)
-            return look(length)
-
-        monkeypatch.setattr(bus._port, "readPort", looked)
-        with pytest.raises(dynamixel.BusError):
-            bus.ping(9)
-    # four attempts and as many pings of 84 ms, at one look in 2 ms; the SDK alone would look without a pause
-    assert len(looks) < 2 * 8 * 84 / 2

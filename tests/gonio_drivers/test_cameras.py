@@ -256,24 +256,6 @@ def test_a_camera_that_writes_two_files_an_exposure_is_refused(
             camera.capture(0.01)
 
 
-def test_files_that_come_after_they_were_given_up_are_no_second_file_of_an_exposure(
-    tethered: Tether, caplog: pytest.LogCaptureFixture
-) -> None:
-    with tethered.driver() as camera:
-        tethered.faults.arm("file-missing", times=2)
-        tethered.await_briefly(camera, times=4)  # for each of the two, and once more before the next exposure
-        assert number(camera.capture(0.01)) == 3
-        for late in (1, 2):
-            write_dng(plain(200 + late), tethered.folder / f"LATE_{late}.DNG")
-            assert number(camera.capture(0.01)) == 3 + late
-            assert f"LATE_{late}.DNG was not asked for; passed over" in caplog.text
-        write_dng(plain(210), tethered.folder / "IMG_A.DNG")
-        assert number(camera.capture(0.01)) == 6
-        write_dng(plain(211), tethered.folder / "IMG_B.DNG")
-        with pytest.raises(DeviceError, match=r"more files than exposures"):
-            camera.capture(0.01)
-
-
 def test_a_file_is_not_damaged_while_its_writer_is_held_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It has the file open, and has written half of it; this process looks at it ever so long meanwhile."""
     monkeypatch.setattr(folder_camera, "WHOLE_S", 0.0)

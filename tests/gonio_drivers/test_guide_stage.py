@@ -39,7 +39,6 @@ class Newport(Device):
         self.values = {"VA": 1.0, "AC": 4.0}
         self.referenced, self.homing = referenced, False
         self.error, self.errors = "@", "0000"
-        self.deaf = self.damaged = 0
         self._buffer = b""
 
     @property
@@ -62,16 +61,9 @@ class Newport(Device):
             found = re.fullmatch(r"1([A-Z]{2})(.*)", line.decode())
             if found is None or baud != 57600:
                 continue
-            if self.deaf:
-                self.deaf -= 1
-                continue
             answer = self.answer(*found.groups())
             if answer is not None:
-                text = f"1{found[1]}{answer}\r\n".encode()
-                if self.damaged:
-                    self.damaged -= 1
-                    text = text[1:]
-                send(text)
+                send(f"1{found[1]}{answer}\r\n".encode())
 
     def answer(self, name: str, value: str) -> str | None:
         state = self.state
@@ -144,15 +136,6 @@ def test_it_homes_moves_reads_and_parks(arms: StageArms, peers: dict[str, Serial
         assert newport(peers, "light").position == pytest.approx(-90, abs=TOLERANCE_DEG)
 
 
-def test_damaged_and_lost_answers_are_asked_for_again(arms: StageArms, peers: dict[str, SerialPeer]) -> None:
-    with arms:
-        newport(peers, "light").damaged = 1
-        newport(peers, "camera").deaf = 1
-        assert math.degrees(arms.read().light) == pytest.approx(
-            newport(peers, "light").position, abs=1e-6
-        )  # 6 decimals
-
-
 def test_errors_and_refusals_stop_every_axis(
     arms: StageArms, peers: dict[str, SerialPeer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,11 +149,3 @@ def test_errors_and_refusals_stop_every_axis(
         newport(peers, "light").referenced = False  # a power dip
         with pytest.raises(DeviceError, match=r"axis light: .* has not found its home since it was switched on"):
             arms.move(Pose())
-
-
-def test_a_mute_controller_is_named(arms: StageArms, peers: dict[str, SerialPeer]) -> None:
-    newport(peers, "camera").deaf = 10_000
-    with pytest.raises(
-        DeviceError, match=r"devices.stages.axes.camera.port: Newport controller on .* does not answer TS"
-    ):
-        arms.__enter__()

@@ -25,7 +25,6 @@ from tests.gonio_drivers.conftest import BAUD, Line, by_hand
 from tests.gonio_drivers.servo_arms import TOLERANCE_DEG, describe, servos
 from tests.gonio_drivers.virtual import PORT, VirtualClock, servo_bus
 
-SCALE = 4.0
 GEAR = 4.0
 PER_DEG = GEAR * 4096 / 360
 STANDS_DEG = 60.0
@@ -168,21 +167,13 @@ def test_a_mark_is_not_believed_for_another_zero_mode_or_restored_memory(line: L
     assert "not homed" in refused(description)
 
 
-def test_a_servo_that_restores_its_memory_is_never_taken_for_homed(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    description = rig(line, STALL)
-    homed(description)
-    monkeypatch.setattr(home_mark, "_restores", lambda joint: True)
-    assert "not homed" in refused(description)
-
-
-@pytest.mark.parametrize("how", ["switch", "index"])
-@pytest.mark.parametrize("toward", [1, -1])
+@pytest.mark.parametrize(("how", "toward"), [("switch", -1), ("index", 1)])
 def test_a_switch_is_found_from_its_side_and_a_mark_from_both(line: Line, how: str, toward: int) -> None:
     if how == "switch":
         put_switch(line.servos[1], lambda deg: deg * toward >= 55.0 * toward)
     else:
         put_switch(line.servos[1], lambda deg: 52.0 <= deg <= 58.0)
-    if how == "index" and toward == 1:  # it stands beyond the mark
+        # it stands beyond the mark
         line.servos[1]._path = motion.rest(line.servos[1]._clock(), SHOWN_ZERO + 48 * PER_DEG)
     assert abs(homed(rig(line, SWITCH | {"how": how, "toward": toward})).off_deg) < 4.0  # as `spread_deg` there
     with arms(rig(line, SWITCH | {"how": how, "toward": toward})) as opened:

@@ -146,16 +146,6 @@ def test_what_a_profile_cannot_say_is_refused(gear: float) -> None:
             check_acceleration(of, acceleration)
 
 
-@pytest.mark.parametrize(("limit", "sound"), [(1, True), (1193, True), (1194, False)])
-def test_a_current_limit_is_one_that_the_model_takes(limit: int, sound: bool) -> None:
-    """1193 units of 2.69 mA: ROBOTIS e-Manual, XM430-W350, "Current Limit(38)"."""
-    if sound:
-        joint(current_limit=limit)
-        return
-    with pytest.raises(ConfigError, match=r"is 1 to 1193, in units of 2\.69 mA"):
-        joint(current_limit=limit)
-
-
 @pytest.mark.parametrize(("approach", "limits"), [(2.0, (8.0, 50.0)), (-2.0, (10.0, 52.0)), (0.0, (10.0, 50.0))])
 def test_a_changer_turns_between_its_places_and_the_way_to_them(approach: float, limits: tuple[float, float]) -> None:
     changer = Changer.model_validate(

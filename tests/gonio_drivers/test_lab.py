@@ -30,7 +30,7 @@ from gonio.lab.acquisition.progress import Silent
 from gonio.lab.acquisition.run import Run
 from gonio.lab.commands.rigs import checks
 from gonio.lab.reduction import brdf
-from gonio.lab.rig import Pose, Step
+from gonio.lab.rig import Pose
 from gonio.lab.rig.description import RigDescription
 from tests.command_line import says
 from tests.gonio.numpy_rig import plan_in
@@ -340,13 +340,6 @@ def test_a_target_is_changed_by_its_servo(twins: Twins) -> None:
         assert twins._target() == "reference"
         rig.present("sample")
         assert twins._target() == "sample"
-
-
-def test_times_go_on(twins: Twins) -> None:
-    with opened(twins) as rig:
-        rig.begin(Step(0, "dark"))
-        first = rig.camera.capture(0.001).time_s
-        assert first < rig.camera.capture(0.001).time_s <= rig.time_s()
 
 
 # ---- check ----

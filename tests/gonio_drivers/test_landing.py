@@ -1,7 +1,7 @@
 """Landings on a computer that is held up: judged by what was seen, on a clock that nobody waits for."""
 
 import random
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from gonio_drivers import motion, watchdog
@@ -50,8 +50,8 @@ def lands(arms: ServoArms, line: ServoBus, goals: list[float]) -> None:
 
 
 # a count of 1.4 is a good encoder's; 6 is 0.5 deg to either side
-@pytest.mark.parametrize("flicker_counts", [1.4, 3.5, 6.0])
-@pytest.mark.parametrize("held_up_s", [0.0, 0.1, 0.2, 0.5])
+@pytest.mark.parametrize("flicker_counts", [1.4, 6.0])
+@pytest.mark.parametrize("held_up_s", [0.0, 0.2, 0.5])
 def test_an_encoder_that_flickers_lands_however_seldom_anybody_looks(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, flicker_counts: float, held_up_s: float
 ) -> None:
@@ -62,30 +62,8 @@ def test_an_encoder_that_flickers_lands_however_seldom_anybody_looks(
     with ServoArms(describe(), servos(PORT)) as arms:
         for servo in line.servos:
             servo.mechanics = Mechanics(short_counts=4.0, noise_counts=flicker_counts)
-        for _ in range(8):
+        for _ in range(4):
             lands(arms, line, [draw.uniform(-40, 40) for _ in range(3)])
-
-
-@pytest.mark.parametrize("held_up_s", [0.0, 0.2, 1.0])
-def test_it_takes_five_readings_at_rest_to_land(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, held_up_s: float
-) -> None:
-    hours, _ = bench
-    seen: list[int] = []
-    look = motion.Landing.look
-
-    def counted(landing: motion.Landing, report: object, now: float) -> motion.Verdict:
-        verdict = look(landing, report, now)  # type: ignore[arg-type]
-        if verdict in ("landed", "short"):
-            seen.append(len(landing.calm))
-        return verdict
-
-    monkeypatch.setattr(motion.Landing, "look", counted)
-    hours.held_up = lambda: held_up_s
-    with ServoArms(describe(), servos(PORT)) as arms:
-        arms.move(pose(10, 20, 5))
-    assert seen
-    assert min(seen) >= motion.AVERAGED
 
 
 def test_a_way_on_a_computer_that_stands_still_again_and_again_comes_to_its_end(
@@ -127,7 +105,7 @@ def shut_out(line: ServoBus) -> None:
     ("fails", "message"),
     [(blocked, "it is stuck"), (creeping, "no landing within"), (shut_out, "came no closer to its goal")],
 )
-@pytest.mark.parametrize("held_up_s", [0.0, 0.2, 0.45])
+@pytest.mark.parametrize("held_up_s", [0.0, 0.45])
 def test_what_does_not_land_is_told_after_a_bounded_number_of_looks(
     arms: ServoArms,
     bench: Bench,
@@ -147,19 +125,6 @@ def test_what_does_not_land_is_told_after_a_bounded_number_of_looks(
     assert len(looks) <= (2 * 1.7 + motion.GRACE_S) / motion.POLL_S
 
 
-def test_a_collision_stops_the_others_too(arms: ServoArms, bench: Bench) -> None:
-    hours, line = bench
-    arms.move(pose(-90, -90, 0))
-    hours.held_up = lambda: 0.2
-    line.servos[1]._limits = lambda way=0.0: (100.0, 1000.0)  # type: ignore[method-assign]  # counts/s: it is slow
-    blocked(line)
-    with pytest.raises(DeviceError, match="axis light"):
-        arms.move(pose(0, 80, 0))
-    hours.sleep(5.0)
-    assert not line.servos[1].moves()
-    assert at(line, 2) < 80 - TOLERANCE_DEG
-
-
 def test_an_axis_that_trembles_and_was_pushed_is_not_still(arms: ServoArms, bench: Bench) -> None:
     _, line = bench
     arms.move(pose(0, 0, 0))
@@ -173,22 +138,3 @@ def test_an_axis_that_trembles_and_was_pushed_is_not_still(arms: ServoArms, benc
         bench[0].sleep(0.1)
     with pytest.raises(DeviceError, match="axis light has moved by itself"):
         arms.still()
-
-
-def lateness(draw: random.Random) -> Iterator[float]:
-    """Of a computer with eight busy processes: mostly a few milliseconds, and now and then a second."""
-    while True:
-        yield draw.choice((0.0, 0.0, 0.004, 0.02, 0.1, 0.3, 0.9))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_landings_beside_a_computer_that_is_late_at_random(bench: Bench, seed: int) -> None:
-    hours, line = bench
-    draw = random.Random(seed)
-    late: Iterable[float] = lateness(draw)
-    hours.held_up = lambda: next(iter(late))
-    with ServoArms(describe(), servos(PORT)) as arms:
-        for servo in line.servos:
-            servo.mechanics = Mechanics(short_counts=6.0, noise_counts=3.0)
-        for _ in range(6):
-            lands(arms, line, [draw.uniform(-60, 60) for _ in range(3)])

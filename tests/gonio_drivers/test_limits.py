@@ -1,8 +1,6 @@
 """Soft limits and sides of approach: no goal that a servo is given lies beyond a limit, on the way either."""
 
-import logging
 import math
-from typing import Any
 
 import pytest
 from gonio_drivers.any_arms import AnyJoint
@@ -11,7 +9,6 @@ from gonio_drivers.joints import COUNTS
 from gonio_sim.wire.servo import Mechanics, Servo
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.lab.rig import Pose
 from gonio.lab.rig.description import ArmAxis, Body, Geometry, Holder, RigDescription
 from tests.gonio_drivers.conftest import Line
 from tests.gonio_drivers.servo_arms import TOLERANCE_DEG, degrees, describe, pose, servos
@@ -81,17 +78,6 @@ def test_an_axis_arrives_from_its_configured_side(line: Line) -> None:
             assert max(tilt) == pytest.approx(10.5 if before < 0 else 10.0, abs=2 * COUNT_DEG)
 
 
-def test_play_that_a_limit_leaves_open_is_said(line: Line, caplog: pytest.LogCaptureFixture) -> None:
-    with ServoArms(describe(light=LIMITS, camera=LIMITS), servos(line.port)) as arms:
-        with caplog.at_level(logging.WARNING, "gonio.devices"):
-            arms.park()
-            arms.move(pose(-79.5, 80.0))
-            assert not caplog.records
-            arms.move(pose(-80.0, 0.0))
-        assert "axis light at -80 deg" in caplog.text
-        assert "backlash of 0.1 deg is not taken up" in caplog.text
-
-
 class Joint(AnyJoint):
     """An axis that nothing turns, with a quarter of a degree of way to any goal."""
 
@@ -129,26 +115,6 @@ def test_a_reading_beyond_a_hard_stop_is_a_wrong_zero(line: Line) -> None:
     with pytest.raises(DeviceError, match=r"axis light reads -48\.\d+ deg, beyond its hard stops at -40 and 85 deg"):
         ServoArms(describe(light=stops), servos(line.port)).__enter__()
     assert not line.servos[1].torque
-
-
-@pytest.mark.parametrize(
-    ("kind", "keys", "said"),
-    [
-        (ArmAxis, {"limits_deg": (-80, 80), "hard_stops_deg": (-79, 85)}, "hard_stops_deg = [-79, 85] must enclose"),
-        (Holder, {"spin_hard_stops_deg": (-90, 90)}, "spin_hard_stops_deg = [-90, 90] must enclose spin_limits_deg"),
-    ],
-)
-def test_hard_stops_enclose_the_limits(kind: type[Any], keys: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match="must enclose") as caught:
-        kind(**keys)
-    assert said in str(caught.value)
-
-
-def test_limits_that_use_the_whole_turn_need_no_room_for_an_approach(line: Line) -> None:
-    with ServoArms(describe(light=ArmAxis(limits_deg=(-179.9, 179.9))), servos(line.port)) as arms:
-        assert math.degrees(arms.move(Pose(light=math.radians(-179.9))).light) == pytest.approx(-179.9, abs=0.2)
-    with pytest.raises(ConfigError, match="limits -181 to 80 deg need counts"):
-        ServoArms(describe(light=ArmAxis(limits_deg=(-181.0, 80.0))), servos(line.port))
 
 
 def test_parking_goes_by_a_free_way(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:

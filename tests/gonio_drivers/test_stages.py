@@ -108,27 +108,6 @@ def test_a_limit_is_not_crossed_on_the_way_to_it(twins: Twins, caplog: pytest.Lo
     )
 
 
-def test_an_axis_arrives_from_above_where_the_rig_file_says_so(tmp_path: Path) -> None:
-    above = {"light": on_stages().arms.light.model_dump() | {"approach_deg": -1.0}}
-    with Twins(on_stages(arms=above), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        with arms_of(served) as arms:
-            arms.move(pose(light=-30, camera=-30))
-            seen = seen_at_rest(served)
-            arms.move(pose(light=10, camera=10))
-        # the approach ends within its half
-        assert max(seen["light"]) == pytest.approx(11.0, abs=TOLERANCE_DEG + 0.5)
-        assert max(seen["camera"]) < 10.0 + TOLERANCE_DEG
-
-
-def test_a_reading_beyond_a_hard_stop_opens_nothing(tmp_path: Path) -> None:
-    narrow = {"light": on_stages().arms.light.model_dump() | {"limits_deg": (-5.0, 5.0), "hard_stops_deg": (-6.0, 6.0)}}
-    with Twins(on_stages(arms=narrow), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
-        served.stages["light"].push(-4.0 * COUNTS_PER_DEG)  # from -5, where its limits keep it
-        assert abs(angle(served, "light")) > 8.0
-        with pytest.raises(DeviceError, match=r"axis light reads .* beyond its hard stops at -6 and 6 deg: its zero"):
-            arms_of(served).__enter__()
-
-
 @pytest.mark.parametrize("homed", [True, False])
 def test_a_stage_without_home_is_refused_unless_it_may_look_for_it(twins: Twins, homed: bool) -> None:
     stage = twins.stages["tilt"]

@@ -21,8 +21,6 @@ def lamp(rng: np.random.Generator, kind: str, size: float, count: int) -> tuple[
     level = np.asarray(1.0 + size * every / EVERY_S)
     if kind == "walk":
         level = 1.0 + np.cumsum(size * np.sqrt(np.diff(every, prepend=0.0) / EVERY_S) * rng.standard_normal(every.size))
-    if kind == "warm":
-        level = 1.0 - size * np.exp(-every / 400.0)
     seen = np.asarray(np.interp(visits, every, level) * (1.0 + NOISE * rng.standard_normal(count)))
     return visits, seen, at, np.interp(at, every, level)
 
