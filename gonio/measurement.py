@@ -54,7 +54,7 @@ from gonio.formats.reader import (
     one_value_a_direction,
     reflection_only,
 )
-from gonio.typing import DataFrame, Floats
+from gonio.typing import DataFrame
 
 if TYPE_CHECKING:
     from gonio.models import Model
@@ -145,14 +145,12 @@ def _parsed(file: BinaryIO, path: Path, format: str | None, columns: Mapping[str
     blank = own_columns.blank_beside(path)
     if columns is None and blank is None and (stored := own_columns.beside(path)) is not None:
         where = str(own_columns.beside_path(path))
-    notes: list[str] = []
-    stated: Floats | None = None
     if stored is not None and format in (None, "gonio", "xlsx"):
-        format = "gonio"
-        if _size(file) <= formats.named(format).max_bytes:
-            data, notes, stated = own_columns.renamed(file.read(), path, stored, where)
-            file = io.BytesIO(data)
-    elif columns is not None:
+        own = own_columns.read(_within(file, path, native.FORMAT).read(), path, stored, where)
+        with np.errstate(all="ignore"):
+            frame = native.of_columns(own.columns, own.lines, path)
+        return _complete(one_value_a_direction(frame, own.stated_deg, path), path, native.FORMAT, own.notes)
+    if columns is not None:
         raise ConfigError(
             f"{path}: columns are named in CSV files and workbooks made by hand, and {format} files are none"
         )
@@ -162,18 +160,22 @@ def _parsed(file: BinaryIO, path: Path, format: str | None, columns: Mapping[str
             f"{own_columns.beside_path(path)}: a blank is subtracted from RT-300S workbooks alone, and {path} is "
             f"{chosen.title}"
         )
-    if _size(file) > chosen.max_bytes:
-        raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")
+    _within(file, path, chosen)
     content: Any = file if chosen.in_pieces else file.read()
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
         frame = chosen.read(content, path) if blank is None else rt300s.read(content, path, blank)
-    return _complete(frame, path, chosen, notes, stated)
+    return _complete(frame, path, chosen)
 
 
-def _complete(frame: DataFrame, path: Path, chosen: Format, notes: list[str], stated: Floats | None) -> DataFrame:
+def _within(file: BinaryIO, path: Path, chosen: Format) -> BinaryIO:
+    """The file, from its beginning; `DataError` where it is larger than is read of its format."""
+    if _size(file) > chosen.max_bytes:
+        raise DataError(f"{path}: is larger than {chosen.max_bytes >> 20} MiB, the largest {chosen.title} that is read")
+    return file
+
+
+def _complete(frame: DataFrame, path: Path, chosen: Format, notes: Sequence[str] = ()) -> DataFrame:
     """The table that a format's reader has made, checked, with its notes and the names of its samples."""
-    if stated is not None:
-        frame = one_value_a_direction(frame, stated, path)
     frame.attrs["notes"] = [*notes, *frame.attrs.get("notes", ())]
     frame.attrs.setdefault("format", chosen.name)
     check_columns(list(frame.columns), str(path))

@@ -13,7 +13,7 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -115,7 +115,19 @@ def taken(frame: DataFrame, stored: Any, path: Path) -> DataFrame:
     return _completed(frame, attrs, path)
 
 
-def _completed(frame: DataFrame, attrs: Attributes, path: Path) -> DataFrame:
+def of_columns(columns: Mapping[str, Any], lines: Sequence[int], path: Path) -> DataFrame:
+    """The table of these columns, which stand in these lines of a file, with the attributes that lie beside it."""
+    import pandas as pd
+
+    frame = pd.DataFrame(dict(columns))
+    check_columns(list(frame.columns), str(path), needed=NEEDED)
+    for name in _TEXTS:
+        if name in frame.columns:
+            frame[name] = _per_word(frame[name], plain_word)
+    return _completed(frame, _read_attrs(path, quantity(frame)), path, lines)
+
+
+def _completed(frame: DataFrame, attrs: Attributes, path: Path, lines: Sequence[int] | None = None) -> DataFrame:
     """The table with the columns that a file may lack, and its attributes; `DataError` where a value is not allowed."""
     absent = [name for name in _DEFAULTS if name not in frame.columns]
     read_as = frame.attrs.get("notes", [])
@@ -130,7 +142,7 @@ def _completed(frame: DataFrame, attrs: Attributes, path: Path) -> DataFrame:
         shown = ", ".join(absent)
         frame.attrs["notes"] = [*frame.attrs["notes"], f"the file has no columns {shown}: taken as unknown, or none"]
     flag_holes(frame)
-    check(frame, lambda row: f"{path}, line {row + 2}")
+    check(frame, lambda row: f"{path}, line {lines[row] if lines is not None else row + 2}")
     return frame
 
 

@@ -221,25 +221,100 @@ def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
         A column is missing or there twice, a row is too long or too short (with its line), or there are no rows.
     """
     text = decode(data, path)
-    mark = separator(text)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
-    header: list[str] = []
+    table = table_from(lines_of(text), 0, separator(text), path)
+    if missing := [name for name in needed if table.header.count(name) != 1]:
+        there = ", ".join(repr(name[:40]) for name in table.header[:16])
+        raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}; the file has {there}")
+    if not table.rows:
+        raise DataError(f"{path}: has a header and no rows")
+    return table
+
+
+BLANKS = " "
+"""As a separator: any run of blanks."""
+_COMMENT = re.compile(r"\s*(?:#|%|//|!)+")
+_HEADER_WITHIN = 200
+"""Lines in which a header is looked for."""
+
+
+def lines_of(text: str) -> list[str]:
+    """The lines of a text with their ends."""
+    return list(io.StringIO(text, newline=""))
+
+
+def cells_of(line: str, mark: str) -> list[str]:
+    """The cells of one line, without a comment's mark before them; names apart by two blanks may hold single ones."""
+    bare = _COMMENT.sub("", line, count=1).strip("\r\n")
+    if mark == BLANKS:
+        return re.split(r"\s{2,}|\t", bare.strip()) if re.search(r"\S\s{2,}\S", bare) else bare.split()
+    return [cell.strip() for cell in next(csv.reader([bare], delimiter=mark), [])]
+
+
+def header_in(lines: Sequence[str], holds: Callable[[list[str]], bool]) -> tuple[int, str] | None:
+    """The first line whose cells are a header by `holds`, with rows as long as it; and what separates them."""
+    for first, line in enumerate(lines[:_HEADER_WITHIN]):
+        for mark in ("\t", ";", ",", BLANKS):
+            for cells in (cells_of(line, mark), line.split()) if mark == BLANKS else (cells_of(line, mark),):
+                if holds(cells) and _followed(lines[first + 1 :], len(cells), mark):
+                    return first, mark
+    return None
+
+
+def _followed(lines: Sequence[str], count: int, mark: str) -> bool:
+    """Whether most of the next lines have so many cells; a header may end its file."""
+    rows = [line for line in lines[: 2 * _LOOKED_AT[1]] if line.strip() and not _COMMENT.match(line)][: _LOOKED_AT[1]]
+    return 2 * sum(len(_split(row, mark)) == count for row in rows) >= len(rows)
+
+
+def _split(line: str, mark: str) -> list[str]:
+    return line.split() if mark == BLANKS else next(csv.reader([line.strip("\r\n")], delimiter=mark), [])
+
+
+def table_from(
+    lines: Sequence[str], first: int, mark: str, path: Path, header: Sequence[str] | None = None
+) -> CsvTable:
+    """The table that begins with line `first`: with its header, or with rows where a `header` is given.
+
+    Blank lines are left out, and comments (`#`) that are no rows.
+
+    Raises
+    ------
+    DataError
+        A row is too long or too short, with its line.
+    """
     rows: dict[int, list[str]] = {}
+    begin = first
+    if header is None:
+        begin = next((k for k in range(first, len(lines)) if lines[k].strip()), len(lines))
+    if header is None and mark == BLANKS and begin < len(lines):
+        width = len(lines[begin + 1].split()) if begin + 1 < len(lines) else 0
+        split = cells_of(lines[begin], mark)
+        header = split if len(split) == width else _COMMENT.sub("", lines[begin], count=1).split()
+        begin += 1
+    taken = list(header or ())
+    if mark == BLANKS:
+        for number, line in enumerate(lines[begin:], begin + 1):
+            if line.strip() and not _is_remark(cells := line.split(), taken):
+                require_cells(cells, taken, f"{path}, line {number}")
+                rows[number] = cells
+        return CsvTable(path, taken, list(rows.values()), list(rows), DecimalMark(path))
+    reader = csv.reader(lines[begin:], delimiter=mark, strict=True)
     try:
         for cells in reader:
-            if header and any(map(str.strip, cells)):
-                require_cells(cells, header, f"{path}, line {reader.line_num}")
-                rows[reader.line_num] = cells
-            elif not header:
-                header = [cell.strip() for cell in cells] if any(map(str.strip, cells)) else []
+            number = begin + reader.line_num
+            if not taken and any(map(str.strip, cells)):
+                taken = [cell.strip() for cell in cells]
+                taken[0] = _COMMENT.sub("", taken[0], count=1).strip() if len(taken) > 1 else taken[0]
+            elif any(map(str.strip, cells)) and not _is_remark(cells, taken):
+                require_cells(cells, taken, f"{path}, line {number}")
+                rows[number] = cells
     except csv.Error as error:
-        raise DataError(f"{path}, line {reader.line_num}: {error}") from None
-    if missing := [name for name in needed if header.count(name) != 1]:
-        there = ", ".join(repr(name[:40]) for name in header[:16])
-        raise DataError(f"{path}, line 1: columns missing, or there twice: {', '.join(missing)}; the file has {there}")
-    if not rows:
-        raise DataError(f"{path}: has a header and no rows")
-    return CsvTable(path, header, list(rows.values()), list(rows), None if mark == "," else DecimalMark(path))
+        raise DataError(f"{path}, line {begin + reader.line_num}: {error}") from None
+    return CsvTable(path, taken, list(rows.values()), list(rows), None if mark == "," else DecimalMark(path))
+
+
+def _is_remark(cells: Sequence[str], header: Sequence[str]) -> bool:
+    return cells[0].lstrip().startswith("#") and len(cells) != len(header)
 
 
 def require_cells(cells: Sequence[str], header: Sequence[str], where: str) -> None:
