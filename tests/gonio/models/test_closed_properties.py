@@ -50,14 +50,22 @@ slow_orens = st.one_of(
         groove_azimuth_deg=st.floats(0.0, 360.0),
     ),
 )
-reciprocal = st.one_of(lamberts, blinns, cooks, closed_orens)
 
 
-@given(reciprocal, thetas, phis, thetas, phis)
-def test_reciprocity(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
+@given(st.one_of(lamberts, phongs, blinns, cooks, closed_orens), thetas, phis, thetas, phis, st.floats(-3.0, 3.0))
+def test_reciprocity_sign_and_turning_the_sample_about_its_normal(
+    model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float, turn: float
+) -> None:
     there, back = float(model.brdf(theta_i, phi_i, theta_r, phi_r)), float(model.brdf(theta_r, phi_r, theta_i, phi_i))
-    # the same sums in another order: a few roundings, but values that underflow
-    assert there == pytest.approx(back, rel=1e-13, abs=1e-290)
+    if not isinstance(model, Phong):
+        # the same sums in another order: a few roundings, but values that underflow
+        assert there == pytest.approx(back, rel=1e-13, abs=1e-290)
+    assert there >= 0.0 or isinstance(model, OrenNayar)  # whose functional form is negative near grazing
+    if max(theta_i, theta_r) <= 1.5:
+        # azimuths are rounded by up to 1e-15 rad; a lobe of width 0.02 rad or more magnifies that by less than
+        # (pi/0.02)^2
+        turned = float(model.brdf(theta_i, phi_i + turn, theta_r, phi_r + turn))
+        assert turned == pytest.approx(there, rel=1e-10, abs=1e-100)
 
 
 @settings(max_examples=60, deadline=None)
@@ -70,49 +78,6 @@ def test_groove_integrals_are_reciprocal_and_never_negative(
     # either way
     assert there == pytest.approx(back, rel=2e-8)
     assert there >= 0.0
-
-
-@given(st.one_of(lamberts, phongs, blinns, cooks), thetas, phis, thetas, phis)
-def test_never_negative_and_never_nan(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
-    assert float(model.brdf(theta_i, phi_i, theta_r, phi_r)) >= 0.0
-
-
-@given(
-    st.one_of(lamberts, phongs, blinns, cooks, closed_orens),
-    st.floats(0.0, 1.5),
-    phis,
-    st.floats(0.0, 1.5),
-    phis,
-    st.floats(-3.0, 3.0),
-)
-def test_turning_the_sample_about_its_normal(
-    model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float, turn: float
-) -> None:
-    one = float(model.brdf(theta_i, phi_i, theta_r, phi_r))
-    # azimuths are rounded by up to 1e-15 rad; a lobe of width 0.02 rad or more magnifies that by less than (pi/0.02)^2
-    assert float(model.brdf(theta_i, phi_i + turn, theta_r, phi_r + turn)) == pytest.approx(one, rel=1e-10, abs=1e-100)
-
-
-@pytest.mark.slow
-@given(reciprocal, st.floats(0.0, 1.56), phis, st.floats(0.0, 1.56), phis)
-def test_angles_and_vectors_agree(model: Model, theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
-    def vector(theta: float, phi: float) -> list[float]:
-        return [math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]
-
-    by_angles = float(model.brdf(theta_i, phi_i, theta_r, phi_r))
-    by_vectors = float(model.brdf_vectors(vector(theta_i, phi_i), vector(theta_r, phi_r)))
-    # components are rounded by 1e-16; cosines down to 0.01 and lobes down to 0.02 rad magnify that by less than 1e5
-    assert by_vectors == pytest.approx(by_angles, rel=1e-10, abs=1e-100)
-
-
-@settings(max_examples=30, deadline=None)
-@given(slopes, indices, st.floats(0.0, 1.4))
-def test_normalised_beckmann_facets_reflect_no_more_than_falls_on_them(
-    m: float, index: complex, theta_i: float
-) -> None:
-    # reciprocity makes the hemispherical-directional integral the directional-hemispherical one; its quadrature is
-    # good to 1e-3
-    assert CookTorrance(slopes=m, ior=index, convention="normalised").ambient_reflectance(theta_i) <= 1.0 + 1e-3
 
 
 def test_the_printed_normalisation_of_cook_torrance_is_four_times_too_large() -> None:
@@ -131,24 +96,6 @@ def test_the_m_of_cook_torrance_is_the_total_rms_slope() -> None:
     assert facets @ np.tan(alpha) ** 2 / facets.sum() == pytest.approx(0.1**2, rel=1e-9)
 
 
-def test_the_c2_of_blinn_is_a_reciprocal_width() -> None:
-    model = Blinn(distribution="gaussian", c=20.0)
-    there, top = (model.highlight(a, 0.0, a, 0.0) * math.cos(a) for a in (1.0 / 20.0, 0.0))  # retro: s = D F_0/(N.E)
-    assert there / top == pytest.approx(math.exp(-1.0), rel=1e-12)  # D2 = exp(-(alpha c2)^2), to rounding
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.floats(0.0, 1.3), st.floats(5.0, 60.0))
-def test_exact_oren_nayar_conserves_energy(theta_i: float, sigma_deg: float) -> None:
-    node, weight = np.polynomial.legendre.leggauss(24)
-    theta = PI / 4 * (node + 1.0)
-    phi = np.linspace(0.0, 2 * PI, 32, endpoint=False)
-    f = OrenNayar(1.0, sigma_deg, "exact").brdf(theta_i, 0.0, theta[:, None], phi)
-    # white facets: what leaves the groove after one or two bounces, at most all of it; the quadrature over kinks is
-    # good to 2e-3
-    assert 0.6 < float((f.mean(axis=1) * 2 * PI * np.sin(theta) * np.cos(theta)) @ weight * PI / 4) <= 1.0 + 2e-3
-
-
 @given(shares, st.sampled_from(["functional", "qualitative"]), thetas, phis, thetas, phis)
 def test_oren_nayar_without_roughness_is_lambert(
     albedo: float, form: str, theta_i: float, phi_i: float, theta_r: float, phi_r: float
@@ -157,33 +104,9 @@ def test_oren_nayar_without_roughness_is_lambert(
     assert got == pytest.approx(albedo / PI, rel=1e-15)  # a few roundings
 
 
-@given(st.floats(0.2, 5.0), st.floats(0.0, 1.5), st.floats(0.0, 1.5), phis)
-def test_the_limit_of_no_absorption(n: float, theta_i: float, theta_r: float, phi: float) -> None:
-    dielectric, metal, mirror = (
-        float(CookTorrance(ior=ior).brdf(theta_i, 0.0, theta_r, phi))
-        for ior in (n, complex(n, 1e-14), complex(1.0, 1e8))
-    )
-    # F changes by some k/n, and beyond the critical angle by sqrt(k): 1e-7. Where n is nearly 1 it is of the order
-    # of k^2 / (4 c^4), with c at least cos(1.5): 1e-24 of what F = 1 gives
-    assert metal == pytest.approx(dielectric, rel=1e-5, abs=max(1e-24 * mirror, 1e-290))
-
-
 @given(st.floats(0.0, 1.0), indices)
 def test_reflectance_is_between_0_and_1(cosine: float, index: complex) -> None:
     assert -1e-15 <= fresnel.reflectance(cosine, index) <= 1.0 + 1e-14
-
-
-@given(st.floats(1.0, 50.0))
-def test_normal_reflectance_and_index_are_inverse(n: float) -> None:
-    # 1 - sqrt(f0) = 2/(n + 1): an error of eps in f0 becomes n eps; at n = 1 the root magnifies it further
-    assert fresnel.n_from_f0(float(fresnel.reflectance(1.0, n))) == pytest.approx(n, rel=1e-13)
-
-
-def test_blinn_1977_shortcut_is_twice_the_reflectance() -> None:
-    # erratum: the shortcut lacks the factor 1/2
-    angles = (0.7, 0.0, 0.4, 2.5)
-    exact, printed = (Blinn(ior=1.8, fresnel=form).highlight(*angles) for form in ("exact", "1977"))
-    assert printed == pytest.approx(2.0 * float(exact), rel=1e-15)
 
 
 def test_sum_of_rough_base_and_highlight() -> None:

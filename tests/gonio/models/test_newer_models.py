@@ -73,12 +73,12 @@ def test_exchanging_both_directions_changes_nothing(model: Any) -> None:
 @pytest.mark.parametrize("rho", [1.0, 0.9])
 @pytest.mark.parametrize("r", [0.0, 1e-9, 0.4, 1.0])
 def test_eon_loses_no_light(rho: float, r: float) -> None:
-    model = models.EON(rho, r)
-    closed = model.directional_hemispherical(GRAZING)
+    model, angles = models.EON(rho, r), np.append(GRAZING, np.radians(89.9999))
+    closed = model.directional_hemispherical(angles)
     if rho == 1.0:
-        assert closed == pytest.approx(1.0, abs=1e-14)
-    summed = models.Model._hemispherical(model, GRAZING, np.zeros(6), 550.0, False, 1e-7)
-    assert summed == pytest.approx(closed, rel=1e-6)  # the rule's tolerance, ten times
+        assert closed == pytest.approx(1.0, abs=1e-14 if r == 0.0 else 1e-15)
+    summed = models.Model._hemispherical(model, angles, np.zeros(7), 550.0, False, 1e-7)
+    assert summed == pytest.approx(closed, abs=1e-7)  # what the rule was asked for
 
 
 @pytest.mark.slow
@@ -256,14 +256,6 @@ def test_eon_forward_at_grazing_is_right_to_its_last_digits() -> None:
         theta = mp.atan2(mp.mpf(s), mp.mpf(c))
         wanted = float(newer_oracles.eon(theta, mp.mpf(0), theta, mp.pi, rho=1.0, r_=1.0))
         assert models.EON(1.0, 1.0).brdf_vectors(light, view) == pytest.approx(wanted, rel=1e-14)  # tens of roundings
-
-
-@pytest.mark.parametrize("r", [1e-9, 0.3, 1.0])
-def test_eon_s_furnace_down_to_grazing(r: float) -> None:
-    angles = np.radians([0.0, 60.0, 85.0, 89.9, 89.99, 89.9999])
-    assert models.EON(1.0, r).directional_hemispherical(angles) == pytest.approx(1.0, abs=1e-15)
-    summed = Model._hemispherical(models.EON(1.0, r), angles, np.zeros(6), 550.0, False, 1e-7)
-    assert summed == pytest.approx(1.0, abs=1e-7)  # what the rule was asked for
 
 
 @pytest.mark.parametrize("index", [1.5, 0.2 + 3j, 1e-3 + 1e4j], ids=str)
