@@ -261,20 +261,6 @@ def test_what_lies_beside_a_table_is_replaced_only_if_it_is_a_table_s(tmp_path: 
     assert not (tmp_path / "b.csv").exists()
 
 
-def test_a_name_that_is_too_long_is_one_message(measure: Measure, tmp_path: Path) -> None:
-    for wrong in (
-        lambda: measure(LONG),
-        lambda: measure(LONG, resume=True),
-        lambda: Run.open(tmp_path / LONG),
-        lambda: report(tmp_path / LONG),
-        lambda: _clear(tmp_path / LONG),
-        lambda: measurement.write(table(), tmp_path / f"{LONG}.csv"),
-    ):
-        with pytest.raises(ConfigError, match="too long"):
-            wrong()
-    assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"]
-
-
 def _reduce(run: Path) -> None:
     opened = Run.open(run)
     opened.check_table()
@@ -321,17 +307,6 @@ def test_output_without_a_manifest_is_refused_in_words_that_help(
     assert "\n" not in told
     assert named in told
     assert tree(out) == before
-
-
-def test_output_is_written_again_over_its_own(measure: Measure, tmp_path: Path) -> None:
-    run = measure("run").path
-    for _ in range(2):
-        _reduce(run)
-        make([str(run)], run / "report", models=["lambert"])
-        _compare(tmp_path / "page")
-        report(tmp_path / "staged")  # as figures and bench write theirs
-    assert (run / "report" / "index.html").is_file()
-    assert (tmp_path / "page" / "index.html").is_file()
 
 
 @pytest.mark.parametrize("name", ["../x", "/etc/hosts", "a/../../x", "a\\b", "./x", "a//b", "a/", ".."])

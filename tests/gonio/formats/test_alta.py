@@ -73,13 +73,3 @@ def test_damage_is_located(old: str, new: str, told: str) -> None:
 
 def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(TAPE.encode(), "tape.dat")
-
-
-def test_the_retroreflective_tape_shines_back_and_its_gloss_grows_at_grazing(shared: Callable[[str], Path]) -> None:
-    frame = measurement.read(shared("cea_retro/retro-3M-jaune.dat"))
-    gloss = []
-    for theta_i, group in frame.groupby("theta_i_deg"):
-        at = group[group["theta_r_deg"] == theta_i].set_index("phi_r_deg")["brdf"]
-        assert at[0.0] > 30 * group["brdf"].median()  # 0 is retro
-        gloss.append(at[180.0] / at[0.0])
-    assert gloss[2] > 2 > 1 > gloss[0]  # Fresnel: 60 degrees against 15

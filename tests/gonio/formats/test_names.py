@@ -91,13 +91,6 @@ def test_texts_of_a_workbook_are_text_and_no_spreadsheet_runs_them(tmp_path: Pat
     assert {cell.value[0] for cell in cells if cell.quotePrefix} == set("=+-@") & {name[0] for name in NAMES}
 
 
-def test_an_export_that_cannot_hold_a_name_ends_in_words(tmp_path: Path) -> None:
-    measurement.write(several("Al\x0b6061", "b"), tmp_path / "a.csv")
-    done = gonio(tmp_path, "convert", "a.csv", "a.xlsx", expect=1)
-    says(done.stderr, "a.xlsx", "\\x0b", "a workbook cannot hold")
-    assert not (tmp_path / "a.xlsx").exists()
-
-
 @pytest.mark.slow
 def test_every_format_of_tables_takes_any_name_or_says_why_not(tmp_path: Path) -> None:
     for kind in formats.all_formats().values():  # but GTC archives, which hold no names

@@ -156,13 +156,6 @@ def test_damaged_workbooks(survives: Callable[..., None]) -> None:
         measurement.parse(out.getvalue(), Path("mine.xlsx"))
 
 
-def test_a_percentage_is_a_reflectance_factor() -> None:
-    text = mine().replace(f"{0.25 * math.pi}", "25.0").replace(f"{0.5 * math.pi}", "50.0")
-    spec = SPEC.replace("R:factor", "R:percent")
-    frame = measurement.parse(text.encode(), Path("mine.csv"), columns=own_columns.pairs(spec))
-    assert frame["brdf"].tolist() == pytest.approx([0.25 / math.pi, 0.5 / math.pi], rel=1e-15)
-
-
 def test_the_names_are_remembered_and_never_written_over(tmp_path: Path) -> None:
     table, file = tmp_path / "mine.csv", tmp_path / "mine.columns.toml"
     table.write_text(mine())

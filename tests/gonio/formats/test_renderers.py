@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gonio import measurement
-from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
 from gonio.formats.rgl import RglMeasured
 from gonio.models import AnisotropicFacets, CookTorrance, HeTorrance, Lambert, OrenNayar
@@ -80,49 +79,3 @@ def test_what_a_file_cannot_hold_is_said(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="written of models"):
         measurement.write(frame, tmp_path / "n.bsdf", format="rgl")
     assert [p.name for p in tmp_path.iterdir()] == ["m.xml"]
-
-
-def test_mitsuba_renders_it(tmp_path: Path) -> None:
-    """A sphere in parallel light: every pixel is brdf cos(theta_i) of its point."""
-    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (pip install gonio[peers])")
-    mitsuba.set_variant("scalar_rgb")
-    (tmp_path / "sample.toml").write_text(
-        'name = "glossy"\nmodel = "cook-torrance"\n[parameters]\ns = 0.5\nd = 0.5\nslopes = 0.2\nior = 1.5\n'
-        'diffuse_albedo = 0.3\nconvention = "normalised"\n'
-    )
-    convert(str(tmp_path / "sample.toml"), tmp_path / "g.bsdf", None, "rgl")
-    size, samples, light = 32, 8, math.radians(40)
-    scene = mitsuba.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "sphere": {"type": "sphere", "bsdf": {"type": "measured", "filename": str(tmp_path / "g.bsdf")}},
-            "sun": {"type": "directional", "direction": [0, -math.sin(light), -math.cos(light)], "irradiance": 1.0},
-            "sensor": {
-                "type": "orthographic",
-                "to_world": mitsuba.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-                "sampler": {"type": "stratified", "sample_count": samples**2},
-            },
-        }
-    )
-    image = np.array(mitsuba.render(scene))[..., 1]
-    at = 1 - (2 * np.arange(size * samples) + 1) / (size * samples)  # y of a row, and up to its sign x of a column
-    y, x = np.meshgrid(at, at, indexing="ij")
-    normal = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0.0))], axis=-1)
-    cos_i = normal @ np.array([0.0, math.sin(light), math.cos(light)])
-    cos_r = normal[..., 2]
-    usable = (cos_i > 0.2) & (cos_r > 0.2)  # 78 degrees
-    with np.errstate(invalid="ignore", divide="ignore"):
-        sin_sin = np.sqrt((1 - cos_i**2) * (1 - cos_r**2))
-        dphi = np.arccos(np.clip((math.cos(light) - cos_i * cos_r) / sin_sin, -1, 1))
-    wanted = np.zeros(x.shape)
-    theta = np.arccos(np.minimum([cos_i[usable], cos_r[usable]], 1.0))
-    wanted[usable] = GLOSSY.brdf(theta[0], 0.0, theta[1], dphi[usable]) * cos_i[usable]
-    blocks = (size, samples, size, samples)
-    whole = usable.reshape(blocks).all(axis=(1, 3))
-    assert whole.sum() > 400
-    ratio = image[whole] / wanted.reshape(blocks).mean(axis=(1, 3))[whole]
-    # both average 64 points a pixel, at other places in it; and the grid interpolates
-    assert np.median(ratio) == pytest.approx(1.0, abs=2e-3)
-    assert np.abs(ratio - 1).max() < 0.03
