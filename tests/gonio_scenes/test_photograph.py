@@ -18,7 +18,7 @@ from gonio_scenes.photograph import reduce
 from gonio_scenes.render import render
 from gonio_scenes.scene import Scene, read
 
-from gonio import instrument, measurement, models
+from gonio import instrument, models
 from gonio.errors import GonioError
 from gonio.geometry import Directions
 from gonio.lab.rig.dng import encode_dng
@@ -94,11 +94,6 @@ def test_without_noise_every_row_is_the_model_at_its_directions(
     # a pixel is the model itself; a square's mean is brought to its middle but for fourth derivatives, which grow with
     # the fourth power of its side
     assert np.abs(error).max() < (1e-9 if size == 1 else 4e-4 * (size / 5) ** 4 + 4e-5)
-
-
-def test_a_lambertian_sphere_has_one_value(tmp_path: Path) -> None:
-    of = described(material={"m": {"model": "lambert", "parameters": {"albedo": 0.6}}})
-    np.testing.assert_allclose(good(reduce(of, linear(tmp_path, of)))["brdf"], 0.6 / math.pi, rtol=1e-12)
 
 
 @pytest.mark.parametrize("light", [SUN, LAMP])
@@ -343,15 +338,6 @@ def test_causes_of_a_height_field_are_in_its_columns(normals: str, tmp_path: Pat
     # five standard deviations of chi-square; kinks of smoothed normals have uncertainties that are wide
     ratio = float(residual @ np.linalg.solve(covariance, residual)) / n
     assert (0.6 if normals == "smooth" else 0.8) < ratio < 1.0 + 5.0 * math.sqrt(2.0 / n)
-
-
-def test_the_table_can_be_written_and_read(tmp_path: Path) -> None:
-    of = described(photograph={"sensor": SENSOR, "exposure_s": 0.15, "uncertainty": {"center_mm": 0.1}})
-    table = reduce(of, raw(tmp_path, of))
-    measurement.write(table, tmp_path / "table.csv")
-    again = measurement.read(tmp_path / "table.csv")
-    assert again["brdf"].tolist() == pytest.approx(table["brdf"].tolist(), nan_ok=True)
-    assert again.attrs["provenance"]["standard_uncertainties"] == {"center_mm": 0.1}
 
 
 SCENE = """\

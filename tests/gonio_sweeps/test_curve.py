@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,19 +14,17 @@ from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.posterior import AngleErrors, Before, Posterior
 
 from gonio import models
-from gonio.errors import ConfigError, Interrupted
+from gonio.errors import ConfigError
 from gonio.geometry import Directions, solid_angle_of_cone
 from gonio.instrument import apparent_brdf
-from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
-from gonio.lab.acquisition.run import Run
-from gonio.lab.reduction import brdf
+from gonio.lab.acquisition.measure import find_rig
 from gonio.lab.reduction.angle_errors import angle_axes
 from gonio.lab.reduction.spikes import overlap
 from gonio.lab.rig.description import RigDescription
 from gonio.models.gaussian_process import ENOUGH, Coordinates
 from gonio.typing import Floats
 from tests.command_line import some
-from tests.gonio.numpy_rig import SAMPLE, Plugin, StopAfter, describe, plan_in
+from tests.gonio.numpy_rig import describe, plan_in
 
 PLAN = """
 name = "a curve"
@@ -358,23 +355,3 @@ def test_a_budget_that_the_first_points_do_not_fit_into_is_refused(tmp_path: Pat
 
 
 # ---- a whole run ----
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("one_id")
-def test_a_run_that_is_stopped_and_gone_on_with_is_the_same_run(tmp_path: Path) -> None:
-    plan = plan_in(tmp_path, PLAN + "most_points = 19\n")
-
-    def measure(out: str, **options: Any) -> Run:
-        return carry_out(
-            plan, RigChoice(Plugin(), describe(), "numpy"), tmp_path / out, sample=SAMPLE, seed=1, **options
-        )
-
-    whole = measure("whole")
-    assert len(whole.batches) == 2
-    assert whole.enough
-    with pytest.raises(Interrupted):
-        measure("stopped", progress=StopAfter(22))  # within a batch
-    resumed = measure("stopped", resume=True)
-    assert list(resumed.steps()) == list(whole.steps())
-    assert brdf.reduce(resumed).equals(brdf.reduce(whole))

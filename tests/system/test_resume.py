@@ -98,22 +98,6 @@ theta_r_deg = [-60, -30, 0, 10, 35, 65]
 
 
 @pytest.mark.slow
-def test_a_killed_run_that_chooses_its_points_chooses_the_same(here: Command, files: Path) -> None:
-    (files / "plan.toml").write_text(ADAPTIVE)
-    here(*MEASURE, "--out", "whole")
-    events = list(map(json.loads, (files / "whole" / "journal.jsonl").read_bytes().splitlines()))
-    chosen = [event for event in events if event["event"] == "chosen"]
-    assert chosen, "the budget has room for a batch"
-    within = sum(event["event"] == "step" for event in events[: events.index(chosen[0])]) + 2
-    assert kill_after(files, "cut", within, signal.SIGKILL) == -signal.SIGKILL
-    here(*MEASURE, "--out", "cut", "--resume")
-    assert steps_in(files, "cut") == steps_in(files, "whole")
-    for out in ("whole", "cut"):
-        here("reduce", out)
-    assert (files / "cut" / "brdf.csv").read_bytes() == (files / "whole" / "brdf.csv").read_bytes()
-
-
-@pytest.mark.slow
 def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) -> None:
     assert kill_after(files, "run", 3, signal.SIGINT) == 130
     assert len(steps_in(files, "run")) >= 3

@@ -70,16 +70,6 @@ def said(tab: Page) -> dict[str, str]:
 
 @needs_browser
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [1280, 400])
-def test_fits_the_window_without_complaints(page: Path, tab: Page, width: int) -> None:
-    tab.open(page, width)
-    assert tab.run("document.documentElement.scrollWidth") <= width
-    assert tab.run("document.querySelectorAll('.pixels .viewer .stage svg path').length") > 4
-    assert tab.complaints == []
-
-
-@needs_browser
-@pytest.mark.slow
 def test_a_pixel_under_the_cursor_says_what_the_file_says(page: Path, tab: Page) -> None:
     tab.open(page, 1280)
     tab.run("document.querySelector('.pixels').scrollIntoView()")

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio_scenes.shapes import Revolution
 from matplotlib.path import Path as Outline
 
 from gonio.typing import Floats
@@ -139,42 +138,8 @@ def test_a_smooth_profile_goes_through_its_points_and_is_level_at_the_axis() -> 
     np.testing.assert_allclose(built.surface(origin, direction, distance, part).shading[0], [0, 0, -1], atol=1e-8)
 
 
-@pytest.mark.parametrize("upward", [True, False])
-def test_smooth_normals_are_continuous_where_frusta_meet(upward: bool) -> None:
-    """Along a meridian the shading normal turns in steps no larger than curvature times distance."""
-    profile = [[20, 0], [28, 15], [10, 40], [14, 50]]
-    built = shape("revolution", profile_mm=profile if upward else profile[::-1], smooth=True, axis=[0, 0, 1])
-    z = np.linspace(0.5, 49.5, 20001)
-    origin = np.stack([np.full_like(z, 100.0), 0 * z, z], axis=-1)
-    surface = meet(built, origin, np.tile([-1.0, 0.0, 0.0], (len(z), 1)))[-1]
-    # 2.45 um apart in height; the least radius of curvature of this profile is above 1 mm
-    assert np.linalg.norm(np.diff(surface.shading, axis=0), axis=1).max() < 0.02
-    assert np.all(surface.shading[:, 0] > 0.0)
-    # the spline's slope, by differences of where it is met, over many frusta
-    r = surface.position[:, 0]
-    slope = (r[400:] - r[:-400]) / (z[400:] - z[:-400])
-    normal = np.stack([np.ones_like(slope), -slope], axis=-1) / np.hypot(1.0, slope)[:, np.newaxis]
-    assert np.median(np.abs(surface.shading[200:-200][:, [0, 2]] - normal)) < 5e-3
-
-
 def test_v_runs_along_the_profile_by_length() -> None:
     built = shape("revolution", profile_mm=[[10, 0], [10, 30], [20, 30]], axis=[0, 0, 1], x_axis=[1, 0, 0])
     origin = np.array([[0.0, 50.0, 15.0], [-15.0, 0.0, 90.0]])
     direction = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     np.testing.assert_allclose(meet(built, origin, direction)[-1].uv, [[0.25, 15 / 40], [0.5, 35 / 40]], atol=1e-15)
-
-
-def test_chords_of_a_smooth_profile_are_within_a_millionth_of_the_size() -> None:
-    from scipy.interpolate import CubicSpline
-
-    table = Revolution(
-        kind="revolution", material="white", profile_mm=[(20, 0), (28, 15), (10, 40), (14, 50)], smooth=True
-    )
-    built: Any = table.build(None)  # type: ignore[arg-type]
-    points = np.array(table.profile_mm)
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    curve = CubicSpline(s, points, bc_type="natural")(np.linspace(0.0, s[-1], 50001))
-    chords = built.constants[0]
-    r = np.interp(curve[:, 1], chords[:, 1], chords[:, 0])  # this profile rises all along
-    assert np.all(np.diff(chords[:, 1]) > 0.0)
-    assert np.abs(r - curve[:, 0]).max() < 1e-6 * built.size_mm
