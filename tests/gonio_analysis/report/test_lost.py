@@ -74,23 +74,25 @@ class Loop:
         return self
 
 
-BROKEN = {
-    "blocks": Section("broken", fails),
-    "draw": Section("broken", says, fails),
-    "facts": Section("broken", says, facts=fails),
-    "an object in facts": Section("broken", says, facts=lambda d: {"x": object()}),
-    "a complex number in facts": Section("broken", says, facts=lambda d: {"x": 1j}),
-    "no text in facts": Section("broken", says, facts=lambda d: "\ud800"),
-    "facts without an end": Section("broken", says, facts=lambda d: Loop()),
-    "no blocks": Section("broken", lambda d, f: [None]),  # type: ignore[list-item]
-    "blocks of None": Section("broken", lambda d, f: None),  # type: ignore[arg-type, return-value]
-    "a table without rows": Section("broken", lambda d, f: [Table("", (), None, frozenset(), ())]),  # type: ignore[arg-type]
-    "a figure": Section("broken", says, drawings(on_error, "one", "two")),
-    "a figure that ends its process": Section("broken", says, drawings(partial(on_end, here=os.getpid()), *"abcdefgh")),
-    "a name of a figure elsewhere": Section("broken", says, drawings(on_nothing, "../../one")),
-    "a name of a figure twice": Section("broken", says, drawings(on_nothing, "one", "one")),
-    "no drawing": Section("broken", says, lambda d, f: [3]),  # type: ignore[list-item]
-}
+BROKEN = (
+    Section("blocks", fails),
+    Section("draw", says, fails),
+    Section("facts", says, facts=fails),
+    Section("an object in facts", says, facts=lambda d: {"x": object()}),
+    Section("a complex number in facts", says, facts=lambda d: {"x": 1j}),
+    Section("no text in facts", says, facts=lambda d: "\ud800"),
+    Section("facts without an end", says, facts=lambda d: Loop()),
+    Section("no blocks", lambda d, f: [None]),  # type: ignore[list-item]
+    Section("blocks of None", lambda d, f: None),  # type: ignore[arg-type, return-value]
+    Section("a table without rows", lambda d, f: [Table("", (), None, frozenset(), ())]),  # type: ignore[arg-type]
+    Section("a figure", says, drawings(on_error, "one", "two")),
+    Section("a figure that ends its process", says, drawings(partial(on_end, here=os.getpid()), *"abcdefgh")),
+    Section("a name of a figure elsewhere", says, drawings(on_nothing, "../../one")),
+    Section("a name of a figure twice", says, drawings(on_nothing, "three", "three")),
+    Section("no drawing", says, lambda d, f: [3]),  # type: ignore[list-item]
+)
+OF_FIGURES = {"a figure": "one", "a figure that ends its process": "a"}
+"""Sections of which a figure is named that failed, and not the section."""
 GOOD = Section("good", says, drawings(on_nothing, "whole"), lambda d: {"values": len(d.data)})
 SEVERAL = (GOOD, Section("besides", lambda d, f: [Paragraph("Words besides.")]))
 TWICE = (Section("twice", says), Section("twice", says))
@@ -135,21 +137,21 @@ def made(table: str, out: Path, *said: str, whole: bool = False) -> tuple[dict[s
     return summary, page
 
 
-@pytest.mark.parametrize("kind", BROKEN)
-def test_a_section_of_a_stranger_that_fails(
-    kind: str, table: str, tmp_path: Path, brought: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In what it says, draws and counts, at once or when it is printed, drawn or written, here or elsewhere."""
-    monkeypatch.setitem(globals(), "NOW", BROKEN[kind])
-    brought("strange", f"{__name__}:NOW")
+def test_sections_of_a_stranger_that_fail(table: str, tmp_path: Path, brought: Any) -> None:
+    """In what they say, draw and count, at once or when it is printed, drawn or written, here or elsewhere."""
+    brought("strange", f"{__name__}:BROKEN")
     brought("well", f"{__name__}:SEVERAL")
     summary, page = made(table, tmp_path / "out", "Error: ")
+    lost = [one["part"] for one in summary["failed"]]
+    for one in BROKEN:
+        named = f'figure "{OF_FIGURES[one.name]}"' if one.name in OF_FIGURES else f'"{one.name}"'
+        assert any(named in part for part in lost), one.name
     assert "Words besides." in page
     assert summary["datasets"][0]["sections"]["good"] == {"values": 33}
     assert (tmp_path / "out" / "figures" / "whole.svg").is_file()
     assert "parameters.csv" in summary["tables"]
-    place = page.index("Words of a stranger") if "Words of a stranger" in page else page.rindex("Missing: ")
-    assert place > page.index('<section id="matte">')
+    assert page.index("Words of a stranger") > page.index('<section id="matte">')
+    assert page.rindex("Missing: ") > page.index('<section id="matte">')
 
 
 def test_in_the_place_and_at_the_top_stands_the_error(table: str, tmp_path: Path, brought: Any) -> None:
@@ -186,35 +188,45 @@ def test_one_section_or_several_of_other_packages(table: str, tmp_path: Path, br
     assert summary["datasets"][0]["sections"]["good"] == {"values": 33}
 
 
+TOGETHER = [
+    (files, "_parameters", "tables/parameters.csv"), (files, "_curves", "tables/matte-curves.csv"),
+    (viewer, "viewer", "interactive plot"), (report, "_cite", "datacite.json"),
+    (sample, "_energy", "energy and symmetry"), (page, "_provenance", "provenance"),
+    (comparison, "of_table", "quantities of appearance"), (comparison, "_conclusion", "the headline"),
+]  # fmt: skip
+"""Parts of which none hides another."""
+
+
 @pytest.mark.parametrize(
-    ("where", "name", "part"),
+    "wrong",
     [
-        (files, "_parameters", "tables/parameters.csv"),
-        (files, "_curves", "tables/matte-curves.csv"), (viewer, "viewer", "interactive plot"),
-        (report, "_cite", "datacite.json"), (sample, "_energy", "energy and symmetry"), (page, "render", "the page"),
-        (page, "_provenance", "provenance"), (comparison, "of_table", "quantities of appearance"),
-        (comparison, "_conclusion", "the headline"), (report.figures, "draw", "figures of matte"),
-        (html, "document", "the page"), (files, "plain", "summary.json"),
+        TOGETHER,
+        [(page, "render", "the page")],
+        [(report.figures, "draw", "figures of matte")],
+        [(html, "document", "the page")],
+        [(files, "plain", "summary.json")],
     ],
-)  # fmt: skip
+    ids=["together", "page", "figures", "document", "summary"],
+)
 def test_parts_of_our_own_that_fail(
-    where: Any, name: str, part: str, table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    wrong: list[tuple[Any, str, str]], table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = getattr(where, name)
+    real = html.document
     calls = []
 
-    def once(*given: Any, **named: Any) -> Any:
+    def second(*given: Any) -> Any:
         calls.append(1)
-        if name == "document" and len(calls) != 2:  # the first is for the size, those after the second stand in for it
-            return real(*given, **named)
-        return fails()
+        # the first is for the size, those after the second stand in for it
+        return real(*given) if len(calls) != 2 else fails()
 
-    monkeypatch.setattr(where, name, once)
-    summary, page = made(table, tmp_path / "out", part, "ZeroDivisionError")
-    assert any(part in one["part"] for one in summary["failed"])
+    for where, name, _ in wrong:
+        monkeypatch.setattr(where, name, second if name == "document" else fails)
+    summary, page = made(table, tmp_path / "out", "ZeroDivisionError", *(part for *_, part in wrong))
+    for *_, part in wrong:
+        assert any(part in one["part"] for one in summary["failed"]), part
     assert "ZeroDivisionError" in page
     assert (tmp_path / "out" / "tables" / "metrics.csv").is_file()
-    assert (tmp_path / "out" / "tables" / "parameters.csv").is_file() == (name != "_parameters")
+    assert (tmp_path / "out" / "tables" / "parameters.csv").is_file() == (wrong is not TOGETHER)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, MemoryError, OSError(28, "No space left on device")])
@@ -289,26 +301,32 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("source", ["fits.h5", "map.h5"])
 @pytest.mark.parametrize(
-    ("where", "name", "part"),
+    "wrong",
     [
-        (Drawing, "rendered", 'figure "map-flags"'), (map_layers, "draw", "figures"),
-        (map_view, "of", "the interactive plot"), (map_page, "percent", "the headline"),
-        (map_page, "_parameters", "the table of parameters"), (map_page, "_flags_table", "tables/flags.csv"),
-        (map_page, "_page", "the page"),
+        [
+            (Drawing, "rendered", 'figure "map-flags"'), (map_view, "of", "the interactive plot"),
+            (map_page, "percent", "the headline"), (map_page, "_parameters", "the table of parameters"),
+            (map_page, "_flags_table", "tables/flags.csv"),
+        ],
+        [(map_layers, "draw", "figures")],
+        [(map_page, "_page", "the page")],
     ],
+    ids=["together", "figures", "page"],
 )  # fmt: skip
 def test_a_map_s_page(
-    source: str, where: Any, name: str, part: str, fits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: str, wrong: list[tuple[Any, str, str]], fits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(where, name, fails)
+    for where, name, _ in wrong:
+        monkeypatch.setattr(where, name, fails)
     monkeypatch.setattr("gonio.platform.processors", lambda: 1)  # another process would not know the fault
     with pytest.raises(Incomplete, match="ZeroDivisionError") as raised:
         map_page.make(fits.with_name(source), tmp_path / "out")
-    assert part in str(raised.value)
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert "What is missing" in page
     assert "ZeroDivisionError" in page
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
-    assert any(part in one["part"] for one in summary["failed"])
+    for *_, part in wrong:
+        assert part in str(raised.value)
+        assert any(part in one["part"] for one in summary["failed"]), part
     assert (tmp_path / "out" / "tables" / "parameters.csv").is_file()
-    assert (tmp_path / "out" / "tables" / "flags.csv").is_file() == (name != "_flags_table")
+    assert (tmp_path / "out" / "tables" / "flags.csv").is_file() == (len(wrong) == 1)
