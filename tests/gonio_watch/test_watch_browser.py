@@ -191,7 +191,7 @@ def test_a_repaired_journal_is_read_anew(page: Page, played: Played) -> None:
 def test_seven_tabs_and_more_all_answer(page: Page, played: Played) -> None:
     played.go_on(9)
     with served(played.path) as server:
-        tabs = [page.new_tab(server.address), *(page.new_tab(server.address) for _ in range(8))]
+        tabs = [page.new_tab(server.address), *(page.new_tab(server.address) for _ in range(6))]
         for one in tabs:
             page._session = one  # where it is, in front or behind others
             taken(page, 9)

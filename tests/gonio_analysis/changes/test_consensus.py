@@ -60,20 +60,6 @@ def test_mandel_paule_solves_its_equation(row: dict[str, Any]) -> None:
         assert chi_square(0.0) > x.size - 1
 
 
-def test_reml_is_the_largest_restricted_likelihood() -> None:
-    for row in ROWS:
-        x, u = np.array(row["x"]), np.array(row["u"])
-
-        def likelihood(tau2: float, x: Any = x, u: Any = u) -> float:
-            w = 1.0 / (u**2 + tau2)
-            mean = np.sum(w * x) / w.sum()
-            return float(0.5 * np.sum(np.log(w)) - 0.5 * np.log(w.sum()) - 0.5 * np.sum(w * (x - mean) ** 2))
-
-        tau2 = consensus(x, u, "reml").tau ** 2
-        tried = max(likelihood(t) for t in np.linspace(0.0, 4.0 * np.var(x), 4001))
-        assert likelihood(tau2) >= tried - 1e-12
-
-
 def test_a_shared_cause_does_not_average_out() -> None:
     u, common = np.full(4, 0.1), 0.5
     v = np.diag(u**2) + common**2

@@ -180,13 +180,6 @@ def test_two_that_disagree_are_both_named() -> None:
     assert [x.scatter for x in found.laboratories] == [None, None]
 
 
-def test_a_quarrel_in_general_has_a_dark_uncertainty() -> None:
-    rng = np.random.default_rng(12)
-    found = compared({name: measured(rng, scale=s) for name, s in zip("ABCD", (0.9, 1.0, 1.1, 1.25), strict=True)})
-    assert found.scales.method == "mandel-paule"
-    assert found.scales.reference.tau > 0.05
-
-
 def test_every_direction_has_its_own_consensus() -> None:
     rng = np.random.default_rng(13)
     found = compared({name: measured(rng) for name in "ABC"})

@@ -18,14 +18,6 @@ from tests.gonio_analysis.synthetic import measure
 MODEL = OrenNayar(0.6, 20.0)
 
 
-def test_the_same_directions_carry_the_same_values() -> None:
-    a, table = observations(measure(MODEL, seed=1)), measure(MODEL, seed=2)
-    b = observations(table)
-    carried = carry(a, b)
-    assert (carried.interpolated, carried.missing) == (0, {})
-    np.testing.assert_allclose(carried.value, b.brdf[carried.rows], rtol=1e-12)  # weights of 1, to rounding
-
-
 def test_nothing_is_invented_outside_of_the_other_s_directions() -> None:
     a = observations(measure(MODEL, incidences=(30.0,), views=np.array([-80.0, 0.0, 80.0])))
     carried = carry(a, observations(measure(MODEL, incidences=(30.0,), views=np.arange(-40.0, 41.0, 5.0))))

@@ -2,11 +2,7 @@
 
 import csv
 import json
-import os
 import re
-import select
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,9 +23,7 @@ from gonio_analysis.selection.choice import ModelChoice, choose
 from gonio_analysis.selection.judging import Candidate
 
 from gonio import measurement
-from gonio.errors import DataError
 from gonio.models import Phong, build
-from gonio.progress import Say
 from tests.gonio_analysis.synthetic import joined, measure
 
 pytestmark = pytest.mark.slow
@@ -203,12 +197,6 @@ def _curve(figure: Any, *, power: int) -> None:
     ax.plot(x, x**power, marker="o")
 
 
-def _ends_elsewhere(figure: Any, *, here: int) -> None:
-    if os.getpid() != here:
-        os._exit(3)
-    figure.add_axes((0.1, 0.1, 0.8, 0.8))
-
-
 def _fails(figure: Any) -> None:
     raise ZeroDivisionError
 
@@ -228,39 +216,12 @@ def test_any_number_of_processes_makes_the_same_figures() -> None:
     assert [f.name for f in second] == [d.name for d in wanted]
 
 
-def test_a_drawing_that_ends_its_processes_is_not_drawn_in_this_one() -> None:
-    """What killed another process, as by taking all memory, would take this one along."""
-    with pytest.raises(DataError, match="has died"), figure_workers(8, processes=3) as workers:
-        workers.draw(drawings(_ends_elsewhere, here=[os.getpid()] * 8), meanwhile=partial(_until_one_has_gone, workers))
-
-
-def _until_one_has_gone(workers: Any) -> None:
-    workers._processes[0].wait(timeout=600)
-
-
 def test_a_drawing_that_fails_ends_every_process() -> None:
     wanted = [Drawing("d", "k", "", "c", "a", (2.0, 1.5), _fails) for _ in range(8)]
     with pytest.raises(ZeroDivisionError), figure_workers(8, processes=3) as workers:
         workers.draw(wanted)
     assert len(workers._processes) == 2
     assert all(p.returncode is not None for p in workers._processes)
-
-
-def _says(k: int, say: Say) -> tuple[int, int]:
-    say(f"job {k}")
-    return k, os.getpid()
-
-
-def test_shared_jobs_keep_their_order_and_their_words() -> None:
-    words: list[str] = []
-    with figure_workers(8, processes=2) as workers:
-        for _ in range(20):  # until the other process, too, came to take one
-            done = workers.share([partial(_says, k) for k in range(50)], say=words.append)
-            if len({pid for _, pid in done}) == 2:
-                break
-    assert len({pid for _, pid in done}) == 2
-    assert [k for k, _ in done] == list(range(50))
-    assert set(words) >= {f"job {k}" for k in range(50)}
 
 
 def test_a_choice_is_the_same_whoever_works_it_out() -> None:
@@ -281,23 +242,3 @@ def test_a_choice_is_the_same_whoever_works_it_out() -> None:
 def test_few_figures_start_no_process() -> None:
     with figure_workers(drawing.FEW - 1, processes=4) as workers:
         assert workers._processes == []
-
-
-@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="no file descriptors of processes on this system")
-def test_a_killed_report_leaves_no_process() -> None:
-    code = (
-        "import sys\nfrom gonio_analysis.report.drawing import figure_workers\n"
-        "with figure_workers(20, processes=3) as workers:\n"
-        "    print(*(p.pid for p in workers._processes), flush=True)\n"
-        "    sys.stdin.read()\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as report:
-        assert report.stdout is not None
-        watched = [os.pidfd_open(int(pid)) for pid in report.stdout.readline().split()]
-        report.kill()
-    assert len(watched) == 2
-    for process in watched:
-        try:
-            assert select.select([process], [], [], 30.0)[0]  # readable: it has ended
-        finally:
-            os.close(process)

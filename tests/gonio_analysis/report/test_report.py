@@ -194,19 +194,6 @@ def test_a_spectrum_in_one_direction_is_reported_without_a_model(tmp_path: Path)
     assert ">0.6<" in text or ">0.6000<" in text
 
 
-@pytest.mark.slow
-def test_a_report_is_replaced_and_anything_else_is_left_alone(tmp_path: Path) -> None:
-    measurement.write(measure(GLOSS, incidences=(30.0,), views=np.arange(-60.0, 61.0, 15.0)), tmp_path / "t.csv")
-    for _ in range(2):
-        assert make([str(tmp_path / "t.csv")], tmp_path / "out", models=["lambert"]) == tmp_path / "out" / "index.html"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "t.csv", "t.meta.json"]
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").write_text("keep me")
-    with pytest.raises(ConfigError, match=r"not written by this version of gonio.*choose another folder"):
-        make([str(tmp_path / "t.csv")], tmp_path / "mine", models=["lambert"])
-    assert (tmp_path / "mine" / "notes.txt").read_text() == "keep me"
-
-
 def test_failure_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("a,b,c\n1,2,3\n")
     with pytest.raises(DataError):

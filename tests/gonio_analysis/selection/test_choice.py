@@ -20,10 +20,8 @@ from gonio_analysis.selection.judging import Candidate, blocks
 from gonio_analysis.selection.regions import incidences
 
 from gonio.errors import ConfigError, DataError
-from gonio.measurement import read
 from gonio.models import Lambert, OrenNayar, Phong, Retroreflecting, Sum, build
 from tests.gonio_analysis.synthetic import known, measure
-from tests.places import measured
 
 MATTE = Lambert(0.5)
 PAINT = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
@@ -230,19 +228,3 @@ def test_a_retroreflecting_sample_is_described_by_its_own_model_and_by_no_other(
     for name, value in true.parameters.items():
         e = known(choice.named).fit.parameters[name]
         assert abs(e.value - value) < 4 * known(e.u), name  # by chance once in 16 000
-
-
-@pytest.mark.slow
-def test_the_tape_of_cea_is_nearest_to_the_retroreflecting_model() -> None:
-    data = observations(read(measured("brdf/cea_retro/retro-3M-jaune.dat")))
-    near = data.take(np.arange(0, len(data), 4))
-    names = ("oren-nayar+phong", "cook-torrance", "retroreflecting", "retroreflecting+cook-torrance")
-    choice = choose(near, [Candidate(m) for m in names], all_of_them=True)
-    order = sorted(choice.judged, key=lambda j: j.aic)
-    assert [j.candidate.model for j in order[:2]] == ["retroreflecting+cook-torrance", "retroreflecting"]
-    # within 3 degrees of retro, where the lobe rises thirtyfold over the base, half of the values are within a quarter
-    result = order[0].fit
-    light, view = near.directions.vectors
-    lobe = np.linalg.norm(light - view, axis=-1) < 0.052
-    assert lobe.sum() > 50
-    assert np.median(np.abs(np.log(result.predicted[lobe] / near.brdf[lobe]))) < 0.25
