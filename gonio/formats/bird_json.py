@@ -8,8 +8,6 @@ it is read as a standard uncertainty. What it has no variable for (flags, `u_ran
 is written as ad-hoc variables of the same names, which other readers pass over and this one restores.
 """
 
-import contextlib
-import json
 import math
 import re
 from pathlib import Path
@@ -18,10 +16,11 @@ from typing import Any, cast
 import numpy as np
 
 from gonio.errors import DataError
+from gonio.formats import json_text
 from gonio.formats._bird_writer import _STATES, _Variable, write
+from gonio.formats.json_text import finite, short
 from gonio.formats.native import checked_attributes
 from gonio.formats.reader import Format, fold, get, laboratory_of, one_value_a_direction, table
-from gonio.shown import one_line
 from gonio.typing import DataFrame, Floats, JsonObject
 
 _STOKES = {(1.0, 1.0, 0.0, 0.0): "s", (1.0, -1.0, 0.0, 0.0): "p", (1.0, 0.0, 0.0, 0.0): "u"}
@@ -30,10 +29,10 @@ _OURS = re.compile(r"brdf|u_brdf|u_random|flag|sample|s_\w{1,60}")
 
 def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in BiRD JSON; `DataError` says what is wrong with the file, and where."""
-    content = _load(data, path)
+    content = json_text.load(data, path, "a BiRD file")
     section = content.get("data")
     if not isinstance(section, dict):
-        keys = ", ".join(_short(key) for key in list(content)[:6])
+        keys = ", ".join(short(key) for key in list(content)[:6])
         raise DataError(
             f'{path}: is JSON, and not of BiRD, which has an object "data" with a variable "BRDF"; its keys are '
             f"{keys}. Tables of one's own are read as CSV, with --columns"
@@ -100,10 +99,10 @@ class _Section:
         variable = self._variable(name)
         unit = variable.get("unit")
         if not isinstance(unit, str) or unit not in units:
-            raise DataError(f"{self.path}: data.{name}.unit is {_short(unit)}; one of {', '.join(units)} is needed")
+            raise DataError(f"{self.path}: data.{name}.unit is {short(unit)}; one of {', '.join(units)} is needed")
         values = self._values(name, variable, count)
         return units[unit] * np.array(
-            [_finite(v, f"{self.path}: data.{name}.values[{k}]") for k, v in enumerate(values)]
+            [finite(v, f"{self.path}: data.{name}.values[{k}]") for k, v in enumerate(values)]
         )
 
     def angles(self, name: str, count: int) -> Floats:
@@ -131,7 +130,7 @@ class _Section:
         """The columns that we have written there ourselves, and the names of all other ad-hoc variables."""
         variables = self.section.get("adhoc_variables", {})
         if not isinstance(variables, dict):
-            raise DataError(f"{self.path}: data.adhoc_variables is {_short(variables)}; an object is needed")
+            raise DataError(f"{self.path}: data.adhoc_variables is {short(variables)}; an object is needed")
         ours: dict[str, Floats | list[Any]] = {}
         for name, variable in variables.items():
             if _OURS.fullmatch(name) and isinstance(variable, dict):
@@ -140,7 +139,7 @@ class _Section:
                 if name not in ("flag", "sample"):
                     where = f"{self.path}: data.{where}.values"
                     ours[name] = np.array(
-                        [math.nan if v is None else _finite(v, f"{where}[{k}]") for k, v in enumerate(values)]
+                        [math.nan if v is None else finite(v, f"{where}[{k}]") for k, v in enumerate(values)]
                     )
         return ours, [name[:40] for name in variables if name not in ours]
 
@@ -148,10 +147,10 @@ class _Section:
         if isinstance(value, str) and value in ("s", "p", "u"):
             return value
         if isinstance(value, list) and len(value) == 4:
-            stokes = tuple(_finite(v, f"{self.path}: data.{where}") for v in value)
+            stokes = tuple(finite(v, f"{self.path}: data.{where}") for v in value)
             if stokes in _STOKES:
                 return _STOKES[stokes]
-        raise DataError(f"{self.path}: data.{where} is {_short(value)}; the table knows s, p and unpolarised light")
+        raise DataError(f"{self.path}: data.{where} is {short(value)}; the table knows s, p and unpolarised light")
 
     def _variable(self, name: str) -> _Variable:
         variable = self.section.get(name)
@@ -162,7 +161,7 @@ class _Section:
     def _values(self, name: str, variable: _Variable, count: int | None) -> list[Any]:
         values = variable.get("values")
         if not isinstance(values, list) or not values:
-            raise DataError(f"{self.path}: data.{name}.values is {_short(values)}; an array of values is needed")
+            raise DataError(f"{self.path}: data.{name}.values is {short(values)}; an array of values is needed")
         if count is not None and len(values) != count:
             raise DataError(
                 f"{self.path}: data.{name}.values has {len(values)} entries, and data.BRDF.values has {count}"
@@ -180,8 +179,8 @@ def _uncertainty(file: _Section, brdf: Floats) -> Floats:
     if stated is None:
         return np.full(brdf.size, np.nan)
     if not isinstance(stated, dict) or stated.get("unit") not in ("1/sr", "sr^-1", "%"):
-        raise DataError(f"{file.path}: data.BRDF.uncertainty is {_short(stated)}; a value and a unit are needed")
-    value = _finite(stated.get("value"), f"{file.path}: data.BRDF.uncertainty.value")
+        raise DataError(f"{file.path}: data.BRDF.uncertainty is {short(stated)}; a value and a unit are needed")
+    value = finite(stated.get("value"), f"{file.path}: data.BRDF.uncertainty.value")
     return 0.01 * value * np.abs(brdf) if stated["unit"] == "%" else np.full(brdf.size, value)
 
 
@@ -189,37 +188,6 @@ def _solid_angle(metadata: JsonObject) -> float | None:
     value = get(metadata, "instrumentation.detection_system.solid_angle.value")
     known = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 12.57
     return float(value) if known and value is not None else None
-
-
-def _load(data: bytes, path: Path) -> JsonObject:
-    def refuse(word: str) -> Any:
-        raise ValueError(f"{word} is not JSON")
-
-    try:
-        content = json.loads(data.decode("utf-8-sig"), parse_constant=refuse)
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: byte {error.start} is not UTF-8 text") from None
-    except json.JSONDecodeError as error:
-        raise DataError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}") from None
-    except (ValueError, RecursionError) as error:
-        raise DataError(f"{path}: is not valid JSON: {one_line(error, 200)}") from None
-    if not isinstance(content, dict):
-        raise DataError(f"{path}: a BiRD file is one JSON object")
-    return content
-
-
-def _finite(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise DataError(f"{where} is {_short(value)}, not a number")
-    with contextlib.suppress(OverflowError):
-        if math.isfinite(value):
-            return float(value)
-    raise DataError(f"{where} is beyond the range of a float")
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."
 
 
 def remarks(frame: DataFrame) -> list[str]:
