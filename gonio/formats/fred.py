@@ -136,7 +136,8 @@ def _angles(stated: Floats, sines: bool) -> Floats:
         return stated
     alpha, beta = stated.T
     with np.errstate(invalid="ignore"):  # beyond the horizon: NaN, which is refused
-        return np.rad2deg(np.column_stack([np.arcsin(np.hypot(alpha, beta)), np.arctan2(alpha, beta)]))
+        theta = np.arcsin(np.hypot(alpha, beta))
+    return np.column_stack([np.rad2deg(theta), np.rad2deg(np.arctan2(alpha, beta))])
 
 
 FORMAT = Format(

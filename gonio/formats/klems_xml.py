@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +27,7 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.formats import xml_text
-from gonio.formats.reader import ANGLES, NOT_XML, SIDES, Format, require_held, table, wrap_deg, write_bytes
+from gonio.formats.reader import ANGLES, NOT_XML, SIDES, Format, TableBand, require_held, table, wrap_deg, write_bytes
 from gonio.formats.text import integer, number
 from gonio.typing import DataFrame, Floats
 
@@ -47,7 +47,7 @@ _FULL = (
     (75, 90, 12),
 )
 _SAMPLES = 4
-_NAME = re.compile(r"(.*) (front|back) (\S+)")
+NAME = re.compile(r"(.*) (front|back) (\S+)")
 
 
 @dataclass(frozen=True)
@@ -65,25 +65,21 @@ def _rings(rings: Iterator[tuple[float, int]]) -> Basis:
 
 def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in WINDOW's XML; `DataError` says what is wrong with the file, and where."""
-    layer = _layer(data, path)
-    definition = _child(layer, "DataDefinition", path)
-    structure = _text(definition, "IncidentDataStructure", path)
+    layer = layer_of(data, path)
+    definition = child(layer, "DataDefinition", path)
+    structure = text_of(definition, "IncidentDataStructure", path)
     if structure not in ("Columns", "Rows"):
-        raise DataError(f'{path}: IncidentDataStructure is "{structure[:40]}"; only Columns and Rows are matrices')
+        raise DataError(
+            f'{path}: IncidentDataStructure is "{structure[:40]}"; only Columns and Rows are matrices, and '
+            "trees are read with --from tensor-tree"
+        )
     bases = dict(_bases(definition, path))
     product = " ".join((layer.findtext("{*}Material/{*}Name") or path.stem).split()) or path.stem
     parts = []
     for element in layer.iterfind("{*}WavelengthData"):
-        band = _band(element, path)
+        band = band_of(element, path)
         for block in element.iterfind("{*}WavelengthDataBlock"):
-            direction = _text(block, "WavelengthDataDirection", path)
-            kind, _, lit = direction.partition(" ")
-            kind, lit = kind.lower(), lit.strip().lower()
-            if kind not in SIDES or lit not in ("front", "back"):
-                raise DataError(
-                    f'{path}: WavelengthDataDirection is "{direction[:40]}"; read are Reflection and Transmission, '
-                    "Front and Back"
-                )
+            kind, lit = direction_of(block, path)
             name = f"{product} {lit} {'_'.join(band.split())[:40]}"
             parts.append((name, kind, *_block(block, structure, bases, kind, lit, path)))
     if not parts:
@@ -91,7 +87,6 @@ def read(data: bytes, path: Path) -> DataFrame:
     if len({(name, kind) for name, kind, *_ in parts}) < len(parts):
         raise DataError(f"{path}: a side and a band are there twice")
     angles = np.concatenate([a for *_, a, _ in parts])
-    bands = dict.fromkeys(name.rpartition(" ")[2] for name, *_ in parts)
     notes = ["values are averages over pairs of Klems patches, given at the patches' centres"]
     notes.append("broad bands; the file states no uncertainties")
     return table(
@@ -105,19 +100,37 @@ def read(data: bytes, path: Path) -> DataFrame:
         side=[kind for _, kind, _, values in parts for _ in values],
         attrs={
             "source_file": str(path),
-            "bands": [
-                {"name": b, "lower_nm": _BANDS[b][0], "upper_nm": _BANDS[b][1]} if b in _BANDS else {"name": b}
-                for b in bands
-            ],
+            "bands": known_bands(name for name, *_ in parts),
             "notes": notes,
         },
     )
 
 
-def _band(element: ElementTree.Element, path: Path) -> str:
+def known_bands(names: Iterable[str]) -> list[TableBand]:
+    """The bands that samples' names end with, and their limits where they are known."""
+    return [
+        {"name": b, "lower_nm": _BANDS[b][0], "upper_nm": _BANDS[b][1]} if b in _BANDS else {"name": b}
+        for b in dict.fromkeys(name.rpartition(" ")[2] for name in names)
+    ]
+
+
+def direction_of(block: ElementTree.Element, path: Path) -> tuple[str, str]:
+    """What a block holds, "reflection" or "transmission", and which side is lit, "front" or "back"."""
+    direction = text_of(block, "WavelengthDataDirection", path)
+    kind, _, lit = direction.partition(" ")
+    kind, lit = kind.lower(), lit.strip().lower()
+    if kind not in SIDES or lit not in ("front", "back"):
+        raise DataError(
+            f'{path}: WavelengthDataDirection is "{direction[:40]}"; read are Reflection and Transmission, '
+            "Front and Back"
+        )
+    return kind, lit
+
+
+def band_of(element: ElementTree.Element, path: Path) -> str:
     """The band that values are averages over; `DataError` where it is a single wavelength, or has no name."""
-    band = _text(element, "Wavelength", path)
-    unit = _child(element, "Wavelength", path).get("unit", "Integral")
+    band = text_of(element, "Wavelength", path)
+    unit = child(element, "Wavelength", path).get("unit", "Integral")
     if unit.strip().lower() != "integral" or not band or re.fullmatch(r"[\d.,eE+-]+", band):
         raise DataError(
             f'{path}: Wavelength is "{band[:40]}", unit "{unit[:40]}"; read are bands, as Visible (unit "Integral")'
@@ -125,7 +138,7 @@ def _band(element: ElementTree.Element, path: Path) -> str:
     return band
 
 
-def _layer(data: bytes, path: Path) -> ElementTree.Element:
+def layer_of(data: bytes, path: Path) -> ElementTree.Element:
     """The element that holds the matrices."""
     root = xml_text.root(data, str(path))
     layer = root.find(".//{*}Layer")
@@ -136,14 +149,14 @@ def _layer(data: bytes, path: Path) -> ElementTree.Element:
 
 def _bases(definition: ElementTree.Element, path: Path) -> Iterator[tuple[str, Basis]]:
     for basis in definition.iterfind("{*}AngleBasis"):
-        name = _text(basis, "AngleBasisName", path)
+        name = text_of(basis, "AngleBasisName", path)
         rings = []
         for block in basis.iterfind("{*}AngleBasisBlock"):
-            theta = number(_text(block, "Theta", path), f"{path}, {name[:40]}", "Theta")
+            theta = number(text_of(block, "Theta", path), f"{path}, {name[:40]}", "Theta")
             if not 0 <= theta <= 90:
                 raise DataError(f"{path}: {name[:40]}: Theta = {theta:g} lies outside [0, 90] degrees")
             _require_within(block, theta, f"{path}: {name[:40]}", path)
-            rings.append((theta, integer(_text(block, "nPhis", path), f"{path}, {name[:40]}", "nPhis", 1, 1000)))
+            rings.append((theta, integer(text_of(block, "nPhis", path), f"{path}, {name[:40]}", "nPhis", 1, 1000)))
         if not rings or sum(count for _, count in rings) > 4000:
             raise DataError(f"{path}: {name[:40]} has {sum(count for _, count in rings)} patches; 1 to 4000 are read")
         yield name, _rings(iter(rings))
@@ -154,7 +167,7 @@ def _require_within(block: ElementTree.Element, theta: float, where: str, path: 
     bounds = block.find("{*}ThetaBounds")
     if bounds is None:
         return
-    low, high = (number(_text(bounds, name, path), where, name) for name in ("LowerTheta", "UpperTheta"))
+    low, high = (number(text_of(bounds, name, path), where, name) for name in ("LowerTheta", "UpperTheta"))
     if not (0 <= low <= theta <= high <= 90 and low < high):
         raise DataError(f"{where}: Theta = {theta:g} lies outside its ThetaBounds, {low:g} to {high:g} degrees")
 
@@ -165,12 +178,12 @@ def _block(
     """Directions (n, 4) and values (n,) of one matrix, incidence by incidence."""
     pair = []
     for element in ("ColumnAngleBasis", "RowAngleBasis"):
-        name = _text(block, element, path)
+        name = text_of(block, element, path)
         if name not in bases:
             raise DataError(f'{path}: {element} is "{name[:40]}", which DataDefinition does not define')
         pair.append(bases[name])
     columns, rows = pair
-    words = _text(block, "ScatteringData", path).replace(",", " ").split()
+    words = text_of(block, "ScatteringData", path).replace(",", " ").split()
     if len(words) != columns.theta.size * rows.theta.size:
         wanted = f"{rows.theta.size} x {columns.theta.size}"
         raise DataError(f"{path}: ScatteringData of {side} {kind} has {len(words)} numbers; {wanted} are needed")
@@ -192,15 +205,15 @@ def _theta_r(basis: Basis, kind: str) -> Floats:
     return 180.0 - basis.theta if kind == "transmission" else basis.theta
 
 
-def _child(element: ElementTree.Element, name: str, path: Path) -> ElementTree.Element:
+def child(element: ElementTree.Element, name: str, path: Path) -> ElementTree.Element:
     found = element.find(f"{{*}}{name}")
     if found is None:
         raise DataError(f"{path}: an element {name} is missing")
     return found
 
 
-def _text(element: ElementTree.Element, name: str, path: Path) -> str:
-    return (_child(element, name, path).text or "").strip()
+def text_of(element: ElementTree.Element, name: str, path: Path) -> str:
+    return (child(element, name, path).text or "").strip()
 
 
 def write(frame: DataFrame, path: Path) -> None:
@@ -219,7 +232,7 @@ def write(frame: DataFrame, path: Path) -> None:
         told = dict(zip(words, known, strict=True))
         name, kind = told.get("sample", frame.attrs.get("sample") or ""), told.get("side", "reflection")
         require_held(str(name), path, "XML", NOT_XML)
-        match = _NAME.fullmatch(str(name))
+        match = NAME.fullmatch(str(name))
         product, side, band = match.groups() if match else (str(name), "front", "Visible")
         turn = 1.0 if side == "front" else -1.0
         given = {tuple(row): k for k, row in enumerate(np.round(group[list(ANGLES)].to_numpy(np.float64), 6).tolist())}
@@ -340,7 +353,7 @@ FORMAT = Format(
     name="klems",
     title="Klems XML (WINDOW)",
     endings=(".xml",),
-    sniff=lambda head: b"<WindowElement" in head,
+    sniff=lambda head: b"<WindowElement" in head and b"tensortree" not in head.lower(),
     read=read,
     write=write,
     write_model=write_model,

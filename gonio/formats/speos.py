@@ -100,15 +100,20 @@ def _anisotropic(file: "_Lines", sides: list[str], cosine: bool) -> Iterator[tup
         ]
     spectra = {}
     for side in sides:
-        at = tuple(file.row("the incidence of the spectrum", 2))
+        incidence, phi = file.row("the incidence of the spectrum", 2)
         file.take("the description of the spectrum")
-        spectra[side] = at, [file.row("a wavelength and a percentage", 2) for _ in range(file.count("the wavelengths"))]
+        spectra[side] = (
+            (incidence, phi),
+            [file.row("a wavelength and a percentage", 2) for _ in range(file.count("the wavelengths"))],
+        )
     for side in sides:
         at, spectrum = spectra[side]
         tables = {place: file.table(*place, side, cosine) for place in incidences[side]}
         reference = tables.get(at) or next(iter(tables.values()))
         if len({percentage for _, percentage in spectrum}) == 1:
             spectrum = [[spectrum[0][0] if len(spectrum) == 1 else math.nan, spectrum[0][1]]]
+        if (count := len(spectrum) * sum(len(rows) for rows, _ in tables.values())) > MOST_VALUES:
+            raise DataError(f"{file.where}: {count} values of {side}; at most {MOST_VALUES} a file are read")
         for wavelength, percentage in spectrum:
             scale = percentage / 100.0 / reference[1] if reference[1] > 0 else 1.0
             for rows, _ in tables.values():

@@ -87,4 +87,5 @@ def test_a_published_file(shared: Callable[[str], Path]) -> None:
     assert len(frame) == 4 * 286
     mirror = frame.query("theta_i_deg == 10 and theta_r_deg == 10 and phi_r_deg == 0")["brdf"].item()
     assert mirror == 0.034800  # as printed in the file
-    assert frame.loc[frame["brdf"].idxmax(), ["theta_i_deg", "phi_i_deg"]].tolist() == [70.0, 180.0]
+    brightest = frame.iloc[int(frame["brdf"].to_numpy().argmax())]
+    assert (brightest["theta_i_deg"], brightest["phi_i_deg"]) == (70.0, 180.0)
