@@ -31,7 +31,7 @@ from gonio.errors import DataError
 from gonio.formats.klems_xml import NAME, band_of, child, direction_of, known_bands, layer_of, text_of
 from gonio.formats.reader import ANGLES, NOT_XML, Format, require_held, table, wrap_deg, write_bytes
 from gonio.formats.text import numbers
-from gonio.typing import DataFrame, Floats
+from gonio.typing import Array, DataFrame, Floats
 
 if TYPE_CHECKING:
     from gonio.models import Model
@@ -217,7 +217,7 @@ def _text(group: DataFrame, rank: int, kind: str, lit: str, path: Path) -> str:
     if not np.isfinite(values).all():
         raise DataError(f"{path}: a tensor tree has no room for a value that is missing")
 
-    def node(rows: Floats, corner: Floats, width: float) -> str:
+    def node(rows: Array, corner: Floats, width: float) -> str:
         points = place[rows]
         used = np.full(rank, width)
         if rank == 3:

@@ -6,13 +6,15 @@ there toward the normal and grows counter-clockwise. "PlaneSymmetrical" files st
 here. Zeros stand for directions below the surface, which are dropped, and for what was not measured, which is flagged
 "not_measured". With `ScatterType` BTDF the grid is about the direction that the light goes on in, straight through the
 sample, azimuth 0 points from there toward the normal of the back, and the rows are transmission. The rotation is taken
-as the azimuth of incidence. The format states no wavelength (files that we write say theirs in a comment), no
-uncertainty, no solid angle.
+as the azimuth of incidence. `SpectralContent` XYZ has three blocks, TristimulusX, Y and Z: each is a sample, named
+"<file> X", "<file> Y" and "<file> Z"; no such file was at hand to try. The format states no wavelength (files that we
+write say theirs in a comment), no uncertainty, no solid angle.
 """
 
 import itertools
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +28,7 @@ from gonio.typing import DataFrame, Floats
 _WORDS = {
     "Source": ("Measured",),
     "Symmetry": ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D", "Asymmetrical", "Asymmetrical4D"),
-    "SpectralContent": ("Monochrome",),
+    "SpectralContent": ("Monochrome", "XYZ"),
     "ScatterType": ("BRDF", "BTDF"),
 }
 _LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
@@ -36,6 +38,7 @@ _LIMITS = {
     "ScatterAzimuth": (0.0, 360.0),
     "ScatterRadial": (0.0, 180.0),
 }
+_COLOURS = ("X", "Y", "Z")
 _OURS = re.compile(r"#\s*wavelength_nm\s+(\S+)")
 
 
@@ -50,30 +53,20 @@ def read(data: bytes, path: Path) -> DataFrame:
     words = {keyword: file.keyword(keyword, allowed) for keyword, allowed in _WORDS.items()}
     through = words["ScatterType"] == ["BTDF"]
     axes = {name: file.axis(name) for name in _LISTS}
-    file.keyword("Monochrome", ())
-    file.keyword("DataBegin", ())
-    azimuth, radial = axes["ScatterAzimuth"], axes["ScatterRadial"]
-    blocks, first = [], dict[float, Floats]()
-    for rotation, incidence in itertools.product(axes["SampleRotation"], axes["AngleOfIncidence"]):
-        file.keyword("TIS", None)
-        matrix = np.array([file.row(radial.size) for _ in azimuth])
-        if rotation == axes["SampleRotation"][0]:
-            first[incidence] = matrix
-        elif rotation - axes["SampleRotation"][0] == 360.0:
-            _require_same("SampleRotation", incidence, first[incidence], matrix, path)
-            continue
-        if azimuth[-1] - azimuth[0] == 360.0:
-            _require_same("ScatterAzimuth", incidence, matrix[0], matrix[-1], path)
-            blocks.append(_block(rotation, incidence, azimuth[:-1], radial, matrix[:-1]))
-        else:
-            blocks.append(_block(rotation, incidence, azimuth, radial, matrix))
-    file.keyword("DataEnd", ())
-    rows = np.concatenate(blocks)
-    if through:  # a detector at the horizon belongs to neither side
-        rows = rows[rows[:, 2] < 90]
+    colours = _COLOURS if words["SpectralContent"] == ["XYZ"] else ("",)
+    parts = []
+    for colour in colours:
+        file.keyword(f"Tristimulus{colour}" if colour else "Monochrome", ())
+        file.keyword("DataBegin", ())
+        rows = np.concatenate(list(_blocks(file, axes, path)))
+        parts.append(rows[rows[:, 2] < 90] if through else rows)  # at the horizon a detector belongs to neither side
+        file.keyword("DataEnd", ())
+    rows = np.concatenate(parts)
     unmeasured = rows[:, 4] == 0
     notes = ["the format states no uncertainties and no solid angles"]
-    if math.isnan(wavelength):
+    if len(colours) > 1:
+        notes.append("X, Y and Z are samples of their own: three distributions, of which Y is the luminous one")
+    elif math.isnan(wavelength):
         notes.append("the file states no wavelength")
     if unmeasured.any():
         notes.append(f'{unmeasured.sum()} of {len(rows)} values are zero: flagged "not_measured"')
@@ -84,10 +77,32 @@ def read(data: bytes, path: Path) -> DataFrame:
         phi_r_deg=rows[:, 3],
         wavelength_nm=wavelength,
         side="transmission" if through else None,
+        sample=np.repeat([f"{path.stem} {colour}" for colour in colours], [len(part) for part in parts]).astype(object)
+        if len(colours) > 1
+        else None,
         brdf=rows[:, 4],
         flag=np.where(unmeasured, "not_measured", ""),
         attrs={"source_file": str(path), "sample": path.stem, "notes": notes},
     )
+
+
+def _blocks(file: "_Lines", axes: dict[str, Floats], path: Path) -> Iterator[Floats]:
+    """The rows of each rotation and incidence, up to DataEnd."""
+    azimuth, radial = axes["ScatterAzimuth"], axes["ScatterRadial"]
+    first = dict[float, Floats]()
+    for rotation, incidence in itertools.product(axes["SampleRotation"], axes["AngleOfIncidence"]):
+        file.keyword("TIS", None)
+        matrix = np.array([file.row(radial.size) for _ in azimuth])
+        if rotation == axes["SampleRotation"][0]:
+            first[incidence] = matrix
+        elif rotation - axes["SampleRotation"][0] == 360.0:
+            _require_same("SampleRotation", incidence, first[incidence], matrix, path)
+            continue
+        if azimuth[-1] - azimuth[0] == 360.0:
+            _require_same("ScatterAzimuth", incidence, matrix[0], matrix[-1], path)
+            yield _block(rotation, incidence, azimuth[:-1], radial, matrix[:-1])
+        else:
+            yield _block(rotation, incidence, azimuth, radial, matrix)
 
 
 def _require_same(axis: str, incidence: float, first: Floats, last: Floats, path: Path) -> None:

@@ -103,7 +103,7 @@ def test_a_screen_lets_most_light_straight_through(shared: Callable[[str], Path]
 )
 def test_damage_is_named(data: bytes, told: str) -> None:
     with pytest.raises(DataError) as caught:
-        measurement.parse(data, Path("blind.xml"))
+        measurement.parse(data, Path("blind.xml"), format="klems")
     assert "blind.xml" in str(caught.value)
     assert told in str(caught.value)
 

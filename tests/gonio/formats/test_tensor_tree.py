@@ -45,10 +45,9 @@ def test_branches_have_the_first_coordinate_in_the_lowest_bit_and_grids_have_it_
     frame = parse(tree(ISOTROPIC))
     assert (frame.attrs["format"], frame.attrs["samples"]) == ("tensor-tree", ["Blind back Visible"])
     assert set(frame["phi_i_deg"]) == {180.0}
-    found = {
-        (row.brdf, round(math.sin(math.radians(row.theta_i_deg)), 9), round(row.phi_r_deg, 6))
-        for row in frame.itertuples()
-    }
+    sines = np.sin(np.deg2rad(frame["theta_i_deg"].to_numpy())).round(9).tolist()
+    azimuths = frame["phi_r_deg"].round(6).tolist()
+    found = set(zip(frame["brdf"].to_numpy(np.float64).tolist(), sines, azimuths, strict=True))
     # coarse branches 0, 2, 4: first coordinate 1/4, so that sin theta_i = 1/2; the others in three quadrants
     assert {(1.0, 0.5, 225.0), (2.0, 0.5, 315.0), (3.0, 0.5, 135.0)} <= found
     # the fourth branch is a grid: first coordinates 1/8 and 3/8, sin theta_i = 3/4 and 1/4

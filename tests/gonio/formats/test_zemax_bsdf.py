@@ -61,6 +61,16 @@ def test_btdf_is_about_the_straight_direction() -> None:
     assert value(frame, 30, 140, 0) == 0.6  # 70 inward: across that normal
 
 
+def test_tristimulus_values_are_three_samples() -> None:
+    head, block = FILE.replace("SpectralContent\tMonochrome", "SpectralContent\tXYZ").split("\nMonochrome\n")
+    text = head + "".join(f"\nTristimulus{c}\n{block.replace('8.0', n)}" for c, n in zip("XYZ", "567", strict=True))
+    frame = measurement.parse(text.encode(), Path("red.bsdf"))
+    assert frame.attrs["samples"] == ["red X", "red Y", "red Z"]
+    assert [value(part, 30, 30, 180) for _, part in frame.groupby("sample")] == [5.0, 6.0, 7.0]
+    with pytest.raises(DataError, match=r'red\.bsdf, line 27: "TristimulusZ" where TristimulusY is needed'):
+        measurement.parse(text.replace("TristimulusY", "TristimulusZ").encode(), Path("red.bsdf"))
+
+
 def test_round_trip_of_transmission(tmp_path: Path) -> None:
     frame = measurement.parse(FILE.replace("ScatterType\tBRDF", "ScatterType\tBTDF").encode(), Path("opal.bsdf"))
     measurement.write(frame, tmp_path / "opal.bsdf")
@@ -106,6 +116,8 @@ def test_damage_is_located(old: str, new: str, told: str) -> None:
 
 def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(FILE.encode(), "black.bsdf")
+    three = "".join(f"\nTristimulus{c}\n" + FILE.split("\nMonochrome\n")[1] for c in "XYZ")
+    survives((FILE.split("\nMonochrome\n")[0].replace("Monochrome", "XYZ") + three).encode(), "red.bsdf")
 
 
 def test_a_published_file_and_the_same_data_in_sample_angles(shared: Callable[[str], Path], tmp_path: Path) -> None:
