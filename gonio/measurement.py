@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from gonio import formats
+from gonio import formats, polarisation
 from gonio.disk import is_stream, only_file
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.formats import native, own_columns, rt300s
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from gonio.models import Model
 
 __all__ = [
-    "COLUMNS", "Reading", "is_simulated", "meta_path", "of_reader", "parse", "read", "reflection", "said_once",
+    "COLUMNS", "Reading", "every_state", "is_simulated", "meta_path", "of_reader", "parse", "read", "reflection", "said_once",
     "samples", "split", "tables", "transmission", "turned_over", "uncertainty", "unpolarised", "write", "write_model",
 ]  # fmt: skip
 
@@ -420,6 +420,32 @@ def unpolarised(frame: DataFrame) -> DataFrame:
     out = left.reset_index(drop=True)
     note = f"{count} values were measured in every state of polarisation; taken is what unpolarised light would show"
     out.attrs = frame.attrs | {"notes": [*frame.attrs.get("notes", ()), note]}
+    return out
+
+
+def every_state(frame: DataFrame) -> DataFrame:
+    """The table with a row for each element of its Mueller matrices, after all others.
+
+    Such a row has the word of the element (`gonio.polarisation.MUELLER`) and the index of the row that it comes from.
+    Its value is the element [1/sr]; the uncertainty of the first one goes along, causes with their signs.
+    """
+    import pandas as pd
+
+    parts = [frame]
+    for element, word in polarisation.MUELLER.items():
+        if element not in frame.columns or not (there := frame[element].notna()).any():
+            continue
+        rows, ratio = frame[there], frame.loc[there, element]
+        own = rows[f"u_{element}"].fillna(0.0) if f"u_{element}" in rows else 0.0
+        causes = {name: rows[name] * ratio for name in rows.columns if name.startswith("s_")}
+        random = np.hypot(uncertainty(rows)[0] * ratio, rows["brdf"] * own)
+        total = np.sqrt(random**2 + sum((c**2 for c in causes.values()), 0.0 * random))
+        values = {"brdf": rows["brdf"] * ratio, "u_random": random, "u_brdf": total, **causes}
+        parts.append(rows.assign(polarisation=word, **values))
+    if len(parts) == 1:
+        return frame
+    out = pd.concat(parts)
+    out.attrs = frame.attrs
     return out
 
 

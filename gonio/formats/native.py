@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from gonio import polarisation
 from gonio.disk import is_stream, read_file, require_name
 from gonio.errors import ConfigError, DataError
 from gonio.formats.column_hints import NEEDED, column_hints, columns_line
@@ -28,7 +29,6 @@ from gonio.formats.reader import (
     LARGEST,
     MUELLER,
     NO_TEXT,
-    POLARISATIONS,
     SIDES,
     U_ANGLES,
     U_MUELLER,
@@ -342,8 +342,8 @@ def check(frame: DataFrame, where: Any) -> None:
     demand(known(wavelength) & (wavelength != 0), "wavelength_nm", "a positive number, or NaN for a broad band")
     told = "from 100 to 200000 nanometres; of a column in micrometres: --columns wavelength=NAME:um"
     demand(~((wavelength < 100.0) | (wavelength > 200_000.0)), "wavelength_nm", told)
-    words = _one_of(frame["polarisation"], lambda word: word in POLARISATIONS)
-    demand(words, "polarisation", f"one of {', '.join(POLARISATIONS)}")
+    words = _one_of(frame["polarisation"], lambda word: word in polarisation.WORDS)
+    demand(words, "polarisation", polarisation.SAID)
     demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
     there = set(frame.columns)
     for column in (name for name in ("u_brdf", "u_random", U_ANGLES) if name in there):

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")
-POLARISATIONS = ("unpolarised", "ss", "sp", "ps", "pp", "s", "p")
-"""Incident, then reflected; "s" and "p" alone: polarised incidence, and a receiver that takes both."""
 SIDES = ("reflection", "transmission")
 """Words of the column `side`, which a table has where some of it is transmission."""
 MUELLER = tuple(f"m{i}{j}" for i in range(4) for j in range(4) if i or j)

@@ -21,6 +21,7 @@ from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model
 from gonio.models.parameters import INDEX, Declaration, Index, Ior, Levels, Values, index_at, optical, parameter
+from gonio.models.polarised import Facets
 from gonio.typing import Floats
 
 SAME_AZIMUTH_DEG = 2.0
@@ -152,6 +153,9 @@ class AnisotropicFacets(Model):
     @property
     def depends_on_azimuth(self) -> bool:
         return self.alpha_along != self.alpha_across and self.s > 0.0
+
+    def facets(self, wavelength_nm: float) -> Facets:
+        return Facets(index_at(self.ior, wavelength_nm), (1.0 - self.s) * self.diffuse_albedo / pi)
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         ior = index_at(self.ior, wavelength_nm)

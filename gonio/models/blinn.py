@@ -50,6 +50,7 @@ from gonio.models.parameters import (
     plain,
     row,
 )
+from gonio.models.polarised import Facets
 from gonio.typing import ArrayLike, Floats
 
 DISTRIBUTIONS = ("trowbridge-reitz", "gaussian", "phong")
@@ -331,6 +332,9 @@ class Blinn(Model):
     def _constants(self, wavelength_nm: float, k_d: float, k_s: float) -> Constants:
         twice = 2.0 if self.fresnel == "1977" else 1.0
         return (k_d, k_s * twice, self.c, *fresnel_constants(index_at(self.ior, wavelength_nm)))
+
+    def facets(self, wavelength_nm: float) -> Facets:
+        return Facets(index_at(self.ior, wavelength_nm), self.k_d / pi)
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         constants = self._constants(wavelength_nm, self.k_d / pi, self.k_s / pi)

@@ -38,6 +38,7 @@ from gonio.models.parameters import (
     parameter,
     row,
 )
+from gonio.models.polarised import Facets
 from gonio.typing import ArrayLike, Floats
 
 DEFAULT_INDEX = 0.64 + 2.6j
@@ -332,6 +333,9 @@ class CookTorrance(Model):
             return _KERNELS[self.distribution, "schlick"], (diffuse, f0, 1.0 - f0, 0.0, *slopes)
         kind = "real" if ior.imag == 0.0 else "exact"
         return _KERNELS[self.distribution, kind], (diffuse, *fresnel_constants(ior), *slopes)
+
+    def facets(self, wavelength_nm: float) -> Facets:
+        return Facets(index_at(self.ior, wavelength_nm), self.d * self.diffuse_albedo / pi)
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         return self._weighted(wavelength_nm, self.d * self.diffuse_albedo / pi, self.s)

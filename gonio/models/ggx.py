@@ -33,6 +33,7 @@ from gonio.models.parameters import (
     parameter,
     row,
 )
+from gonio.models.polarised import Facets
 from gonio.typing import Floats
 
 NARROWEST = 1e-3
@@ -127,6 +128,9 @@ class GGX(Model):
     @property
     def depends_on_azimuth(self) -> bool:
         return self.alpha_y not in (None, self.alpha)
+
+    def facets(self, wavelength_nm: float) -> Facets:
+        return Facets(index_at(self.ior, wavelength_nm), self.diffuse_albedo / pi)
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         a, b = self.alpha, self.alpha if self.alpha_y is None else self.alpha_y
@@ -240,6 +244,10 @@ class GGXMultiscatter(GGX):
     @property
     def convention(self) -> str:
         return f"{super().convention[:-1]}; light between facets by Kulla and Conty 2017, energy to 1e-3."
+
+    def facets(self, wavelength_nm: float) -> Facets:
+        """Light that meets several facets counts as depolarised."""
+        return Facets(index_at(self.ior, wavelength_nm), alone=GGX(self.alpha, self.ior))
 
     def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
         _, constants = super()._evaluation(wavelength_nm)

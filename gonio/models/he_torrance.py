@@ -30,6 +30,7 @@ from gonio.models.parameters import (
     optical,
     parameter,
 )
+from gonio.models.polarised import Facets
 from gonio.typing import ArrayLike, Floats, NDArray
 
 LARGEST_UM = 1e12
@@ -192,6 +193,9 @@ class HeTorrance(Model):
         run = loop(kernels.over_thetas, kernels.spike_reflectivity, len(constants))
         engine.in_parts(lambda i, j: run(theta, constants, out, i, j), theta.size)
         return out
+
+    def facets(self, wavelength_nm: float) -> Facets:
+        return Facets(index_at(self.ior, wavelength_nm), self.diffuse_albedo / math.pi)
 
     # --- polarisation -------------------------------------------------------------------------------------------
 

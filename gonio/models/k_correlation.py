@@ -6,10 +6,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from gonio.geometry import PARALLEL, Directions
 from gonio.models.arrays import ArrayModel
 from gonio.models.fresnel import reflectance
 from gonio.models.parameters import INDEX, Declaration, Ior, Levels, Values, index_at, optical, parameter, plain
-from gonio.typing import Floats
+from gonio.typing import Floats, NDArray
 
 ROUGH = 0.1
 """Total integrated scatter above which the first order of the smooth-surface theory does not do."""
@@ -99,11 +100,25 @@ class KCorrelation(ArrayModel):
     def polarised(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
         """BRDF [1/sr] of ss, sp, ps and pp (4, n): the first letter is that of the source."""
         um = 1e-3 * wavelength_nm
+        f2 = np.sum((omega_i[:, :2] + omega_r[:, :2]) ** 2, axis=1) / um**2
+        spectrum = self.sigma_um**2 * (self.c - 1.0) * self.b_um**2 / (2.0 * math.pi)
+        spectrum = spectrum * (1.0 + self.b_um**2 * f2) ** (-0.5 * (self.c + 1.0))
+        amplitudes = np.abs(self._amplitudes(omega_i, omega_r, wavelength_nm)) ** 2
+        return np.asarray(16.0 * math.pi**2 / um**4 * omega_i[:, 2] * omega_r[:, 2] * spectrum * amplitudes)
+
+    def jones_at(self, at: Directions, wavelength_nm: float) -> NDArray[np.complex128]:
+        """Signs of mixed elements are those of facets, which the first order is near the mirror direction."""
+        theta_i, theta_r = (np.maximum(theta, PARALLEL) for theta in (at.theta_i, at.theta_r))  # azimuths count
+        ss, sp, ps, pp = self._amplitudes(*Directions(theta_i, at.phi_i, theta_r, at.phi_r).vectors, wavelength_nm)
+        return np.moveaxis(np.array([[ss, -ps], [-sp, -pp]]), (0, 1), (-2, -1))
+
+    def _amplitudes(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> NDArray[np.complex128]:
+        """The complex amplitudes (4, n) of ss, sp, ps and pp, the first letter that of the source."""
         epsilon = index_at(self.ior, wavelength_nm) ** 2
         ci, cr = omega_i[:, 2], omega_r[:, 2]
         si, sr = (np.hypot(x[:, 0], x[:, 1]) for x in (omega_i, omega_r))
         flat = np.maximum(si * sr, 1e-300)
-        beyond = (si < 1e-12) | (sr < 1e-12)  # at the normal any azimuth is the plane's
+        beyond = (si < PARALLEL) | (sr < PARALLEL)  # at the normal any azimuth is the plane's
         cos_p = np.where(beyond, 1.0, -np.sum(omega_i[:, :2] * omega_r[:, :2], axis=1) / flat)
         sin_p = np.where(beyond, 0.0, (omega_i[:, 0] * omega_r[:, 1] - omega_i[:, 1] * omega_r[:, 0]) / flat)
         root_i, root_r = np.sqrt(epsilon - si * si + 0j), np.sqrt(epsilon - sr * sr + 0j)
@@ -112,10 +127,7 @@ class KCorrelation(ArrayModel):
             cos_p / (s_i * s_r), sin_p * root_r / (s_i * p_r), sin_p * root_i / (p_i * s_r),
             (root_i * root_r * cos_p - epsilon * si * sr) / (p_i * p_r),
         ])  # fmt: skip
-        f2 = np.sum((omega_i[:, :2] + omega_r[:, :2]) ** 2, axis=1) / um**2
-        spectrum = self.sigma_um**2 * (self.c - 1.0) * self.b_um**2 / (2.0 * math.pi)
-        spectrum = spectrum * (1.0 + self.b_um**2 * f2) ** (-0.5 * (self.c + 1.0))
-        return np.asarray(16.0 * math.pi**2 / um**4 * ci * cr * spectrum * np.abs((epsilon - 1.0) * q) ** 2)
+        return (epsilon - 1.0) * q
 
     def _spike(self, theta: Floats, wavelength_nm: float) -> Floats:
         g = (4.0 * math.pi * self.sigma_rel_um(wavelength_nm) * 1e3 / wavelength_nm * np.cos(theta)) ** 2

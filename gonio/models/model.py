@@ -14,6 +14,7 @@ from gonio.geometry import Directions
 from gonio.models import engine, hemispherical
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
 from gonio.models.parameters import Declaration, Fitted, Ior, Parameter, Parameters, checked_wavelength, plain
+from gonio.models.polarised import Facets
 from gonio.typing import ArrayLike, Floats, NDArray
 
 Vector = tuple[float, float, float]
@@ -135,6 +136,17 @@ class Model(ABC):
     def outside(self, wavelength_nm: float) -> str:
         """Which conditions of its derivation these parameters break at a wavelength [nm], as a clause; "" for none."""
         return ""
+
+    def facets(self, wavelength_nm: float) -> Facets | None:
+        """What of it reflects as mirror facets do; None where nothing does, and all is depolarised."""
+        return None
+
+    def jones_at(self, at: Directions, wavelength_nm: float) -> NDArray[np.complex128] | None:
+        """Jones matrices (n, 2, 2) of a model whose light is polarised otherwise than by facets, up to a factor each.
+
+        Rows are s, p of the reflected field, columns s, p of the incident one (docs/conventions.md). None of others.
+        """
+        return None
 
     @property
     def depends_on_azimuth(self) -> bool:

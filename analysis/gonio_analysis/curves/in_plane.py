@@ -15,6 +15,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio.geometry import AT_MIRROR, IN_PLANE, SAME_ANGLE, Directions, groups
+from gonio.polarisation import UNPOLARISED
 from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
 from gonio_analysis.fitting.observations import Observations
@@ -68,11 +69,14 @@ class Curve:
     """Combined standard uncertainties [1/sr], NaN where none are stated."""
     out_of_plane: float
     """Largest angle of a value out of the plane of incidence [rad]."""
+    state: str = UNPOLARISED
+    """Of light and analyser, a word of `gonio.polarisation`."""
 
     @property
     def label(self) -> str:
-        """As in "θi = 30°", to a tenth of a degree."""
-        return f"{'θi' if self.scanned == 'theta_r' else 'θr'} = {round(np.degrees(self.parameter), 1):g}°"
+        """As in "θi = 30°", to a tenth of a degree; "θi = 30°, sp" of polarised light."""
+        state = "" if self.state == UNPOLARISED else f", {self.state}"
+        return f"{'θi' if self.scanned == 'theta_r' else 'θr'} = {round(np.degrees(self.parameter), 1):g}°{state}"
 
     @property
     def mirror(self) -> int | None:
@@ -88,6 +92,7 @@ class Curve:
             self.directions(angle),
             wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
             cones=(data.source_solid_angle_sr, data.receiver_solid_angle_sr),
+            state=self.state,
         )
 
     def directions(self, angle: Floats) -> Directions:
@@ -121,18 +126,28 @@ NORM_WORDS = {
 
 
 def curves(data: Observations) -> list[Curve]:
-    """The in-plane curves of observations at one wavelength, by their parameter; at least two values each."""
+    """The in-plane curves of observations at one wavelength, by their parameter; at least two values each.
+
+    Of polarised light each state has curves of its own; differences (Stokes parameters) are none.
+    """
     at = data.directions
     side = np.abs(at.out_of_plane)
     inside = np.flatnonzero((side <= IN_PLANE) | (at.theta_i < SAME_ANGLE))
-    by_incidence = groups(at.theta_i, at.phi_i, inside)
-    by_view = groups(at.theta_r, at.phi_r, inside)
-    if len(by_view) * 3 <= len(by_incidence):  # the source was moved, in steps finer than the detector's
-        return _curves(data, by_view, "theta_i", side)
-    return _curves(data, by_incidence, "theta_r", side)
+    out = []
+    for state in sorted({*data.states.tolist()}) or [UNPOLARISED]:
+        here = inside[data.states[inside] == state] if data.states.size else inside
+        if state != UNPOLARISED and not state.islower():
+            continue
+        by_incidence = groups(at.theta_i, at.phi_i, here)
+        by_view = groups(at.theta_r, at.phi_r, here)
+        if len(by_view) * 3 <= len(by_incidence):  # the source was moved, in steps finer than the detector's
+            out += _curves(data, by_view, "theta_i", side, state)
+        else:
+            out += _curves(data, by_incidence, "theta_r", side, state)
+    return sorted(out, key=lambda c: (c.scanned, round(np.degrees(c.parameter), 1), c.phi_i, c.state))
 
 
-def _curves(data: Observations, groups: list[Ints], scanned: Scanned, side: Floats) -> list[Curve]:
+def _curves(data: Observations, groups: list[Ints], scanned: Scanned, side: Floats, state: str) -> list[Curve]:
     u = data.u
     out = []
     for group in groups:
@@ -159,9 +174,10 @@ def _curves(data: Observations, groups: list[Ints], scanned: Scanned, side: Floa
                 brdf=data.brdf[rows],
                 u=u[rows],
                 out_of_plane=0.0 if at_normal else float(side[rows].max()),
+                state=state,
             )
         )
-    return sorted(out, key=lambda c: (round(np.degrees(c.parameter), 1), c.phi_i))
+    return out
 
 
 def _mean_azimuth(phi: Floats) -> float:

@@ -15,12 +15,15 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gonio.checks import values
 from gonio.geometry import SAME_ANGLE, Directions
+from gonio.models.polarised import Light
+from gonio.polarisation import UNPOLARISED, states
 from gonio.typing import Floats
 from gonio_analysis.fitting.observations import Observations
 
@@ -68,14 +71,16 @@ def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[R
     """The BRDF [1/sr] that the instrument of a table sees of `model` in its directions.
 
     Averaged over the cones of source and receiver, the specular spike carried through the integral
-    (`gonio.instrument.Cones`, spike "exact"). In a broad band (wavelength NaN) the model has to be one whose
+    (`gonio.instrument.Cones`, spike "exact"). What polarised light and an analyser change is taken at the axes of the
+    cones. In a broad band (wavelength NaN) the model has to be one whose
     value does not depend on the wavelength. `quick` takes the lobe at the centre of the cones, for searches; `rules`
     (see `averaging`) averages it as was found good for a like model.
     """
     out = np.empty(len(at))
     for here, rule in zip(at.cones, rules or [None] * len(at.cones), strict=True):
         one, wave = _alone(model, here.wavelength_nm)
-        out[here.rows] = _value(one, here.cones, wave, here.pointlike, quick, rule)
+        value = partial(_value, cones=here.cones, wave=wave, without_width=here.pointlike, quick=quick, rules=rule)
+        out[here.rows] = value(one) if here.light is None else here.light.of_model(one, value, wave)
     return out
 
 
@@ -98,8 +103,12 @@ def sees_spike(model: Any, at: Observations) -> bool:
     return any(bool(np.any(cones.spike(one, wavelength_nm=wave) > 0)) for cones, one, wave in several)
 
 
-def seen(model: Any, at: Directions, *, wavelength_nm: float, cones: tuple[float, float]) -> Floats:
+def seen(
+    model: Any, at: Directions, *, wavelength_nm: float, cones: tuple[float, float], state: str = UNPOLARISED
+) -> Floats:
     """As `apparent`, in the directions given, through cones of (source, receiver) solid angle [sr].
+
+    `state` is that of light and analyser, a word of `gonio.polarisation`.
 
     Without a cone on either side a specular spike has no finite value: then the model without its spike is returned.
     """
@@ -112,7 +121,11 @@ def seen(model: Any, at: Directions, *, wavelength_nm: float, cones: tuple[float
         spike="exact",
         tolerance=LOBE_TOLERANCE,
     )
-    return _value(model, through, known_wavelength(wavelength_nm), cones == (0.0, 0.0))
+    wave = known_wavelength(wavelength_nm)
+    value = partial(_value, cones=through, wave=wave, without_width=cones == (0.0, 0.0))
+    if state == UNPOLARISED:
+        return value(model)
+    return Light(at, *states([state] * len(at))).of_model(model, value, wave)
 
 
 def _value(

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from gonio import measurement, polarisation
 from gonio.checks.values import CheckedValues
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import AT_HORIZON, Directions
 from gonio.measurement import of_reader, said_once
+from gonio.models.polarised import Light
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.value_covariance import Covariance, independent
 from gonio_analysis.result_records import CauseSummary
@@ -66,6 +68,8 @@ class Prepared:
     cones: Cones
     pointlike: bool
     """Whether both cones are directions."""
+    light: Light | None = None
+    """Polarised light and analysers of the values; None where all of it is unpolarised."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,8 @@ class Observations:
     """The same of the encoders' readings, by the cause of the same arm; with `u_angles`."""
     u_angles: Floats = field(default_factory=lambda: np.zeros(0))
     """(n,) The part of the independent uncertainties [1/sr] that errors of the angles make; empty where unknown."""
+    states: npt.NDArray[Any] = field(default_factory=lambda: np.zeros(0, dtype=object))
+    """(n,) Words of the column `polarisation`; empty where all of the light is unpolarised."""
     u_rel_assumed: float | None = None
     """Relative uncertainty that somebody assumes, where the table states none: `covariance` is then made from it."""
 
@@ -171,17 +177,25 @@ class Observations:
                 if rows.any():
                     angles = (part.source_solid_angle_sr, part.receiver_solid_angle_sr)
                     cones = Cones(*self.directions[here].angles, *angles, spike="exact", tolerance=LOBE_TOLERANCE)
-                    out.append(Prepared(wave, here, cones, angles == (0.0, 0.0)))
+                    light = None if self.light is None else self.light.take(here)
+                    out.append(Prepared(wave, here, cones, angles == (0.0, 0.0), light))
         return out
 
+    @cached_property
+    def light(self) -> Light | None:
+        """Polarised light and analysers of the values; None where all of it is unpolarised."""
+        return Light(self.directions, *polarisation.states(self.states)) if self.states.size else None
+
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key != "cones"}  # made again where it is needed
+        return {
+            key: value for key, value in self.__dict__.items() if key not in ("cones", "light")
+        }  # made again where it is needed
 
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
         """Some of the values; of all of them nothing is copied."""
         if rows.all() if rows.dtype == bool else np.array_equal(rows, np.arange(len(self))):
             return self
-        some = [name for name in ("part", "u_angles") if getattr(self, name).size]
+        some = [name for name in ("part", "u_angles", "states") if getattr(self, name).size]
         taken = {name: getattr(self, name)[rows] for name in ("directions", "wavelength_nm", "brdf", "rows", *some)}
         return replace(self, covariance=self.covariance and self.covariance.take(rows), **taken)
 
@@ -211,7 +225,7 @@ Some = npt.NDArray[np.int32] | slice
 def _why_left_out(table: DataFrame, directions: Directions, brdf: Floats) -> tuple[npt.NDArray[np.int32], list[str]]:
     """Why each row of a table is not used, by its place among the reasons; 0 for those that may be.
 
-    Transmission, which no model here describes; flagged and polarised rows; values that are not finite or are beyond
+    Transmission, which no model here describes; flagged rows; values that are not finite or are beyond
     any mirror; directions at or below the horizon.
     """
     import pandas as pd
@@ -228,7 +242,6 @@ def _why_left_out(table: DataFrame, directions: Directions, brdf: Floats) -> tup
 
     if "side" in table.columns:
         leave_out((table["side"] == "transmission").to_numpy(), TRANSMISSION)
-    leave_out((why == 0) & (table["polarisation"] != "unpolarised").to_numpy(), "polarised")
     leave_out((why == 0) & ~np.isfinite(brdf), "without a value")
     leave_out((why == 0) & (np.abs(brdf) > LARGEST), f"beyond {LARGEST:g} 1/sr")
     horizon = np.maximum(directions.theta_i, directions.theta_r) >= np.pi / 2 - AT_HORIZON
@@ -264,6 +277,7 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
         Not one row is usable; the message says why. `u_rel` is no such number.
     """
     check_u_rel(u_rel)
+    table = measurement.every_state(table)
     directions = Directions.from_table(table)
     brdf, wavelength = (table[name].to_numpy(np.float64) for name in ("brdf", "wavelength_nm"))
     why, reasons = _why_left_out(table, directions, brdf)
@@ -313,6 +327,7 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
         notes=tuple(notes),
         u_rel_assumed=None if stated[keep].any() else u_rel,
         **_of_angles(table, keep),
+        states=_states(table["polarisation"].to_numpy(object)[keep]),
     )
 
 
@@ -359,8 +374,6 @@ def _stated(
 ) -> tuple[Callable[[Some], Covariance], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """What gives the covariance of some rows of a table, which rows state an uncertainty that can weigh them, and
     which are `SEEN`."""
-    from gonio import measurement
-
     causes = [name.removeprefix("s_") for name in table.columns if name.startswith("s_")]
     random, common = np.empty(len(table)), np.empty((len(table), len(causes)))
     stated, seen = np.empty((2, len(table)), dtype=bool)
@@ -405,6 +418,10 @@ def _of_angles(table: DataFrame, keep: npt.NDArray[np.int32]) -> dict[str, Any]:
     return out | {"u_angles": u if np.isfinite(u).all() else np.zeros(0)}
 
 
+def _states(words: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return words if (words != polarisation.UNPOLARISED).any() else np.zeros(0, dtype=object)
+
+
 def together(several: Mapping[str, Observations]) -> Observations:
     """The values of several tables of one sample as one, by name: each with its own instrument and its own causes.
 
@@ -425,6 +442,7 @@ def together(several: Mapping[str, Observations]) -> Observations:
             "other; fit them one by one, or give the first one a column u_brdf"
         )
     each = list(several.values())
+    words = [one.states if one.states.size else np.full(len(one), polarisation.UNPOLARISED, object) for one in each]
     cones = np.array([(one.source_solid_angle_sr, one.receiver_solid_angle_sr) for one in each])
     source, receiver = np.where((cones == cones[0]).all(axis=0), cones[0], np.nan).tolist()
     return Observations(
@@ -444,6 +462,7 @@ def together(several: Mapping[str, Observations]) -> Observations:
         ),
         part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
         u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),
+        states=_states(np.concatenate(words)),
     )
 
 

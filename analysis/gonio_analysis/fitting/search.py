@@ -424,7 +424,7 @@ def derivatives(
     asked = list(range(vector.size) if only is None else only)
     columns = np.empty((vector.size, len(data)))
     for k in (k for k in asked if problem.free[k] in known):
-        columns[k] = known[problem.free[k]]
+        columns[k] = known[problem.free[k]] * (1.0 if data.light is None else data.light.depolarised)
     for together in problem.moved_together(k for k in asked if problem.free[k] not in known):
         up, down = vector.copy(), vector.copy()
         if here is None:

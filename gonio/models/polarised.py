@@ -1,0 +1,163 @@
+"""What models show of polarised light: an incident state, an analyser, and each model's Mueller matrix.
+
+A value that was measured with an incident Stokes vector b (b_0 = 1) and an analyser's row a is a M b, with M the Mueller
+matrix of the sample [1/sr] on the bases of docs/conventions.md. Facets reflect as mirrors (He1991 eqs. 59-65): M is
+their unpolarised BRDF times J (x) J* over its first element. What a model has beside its facets depolarises: of that M
+has the first element alone. So does a model without facets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gonio.geometry import Directions
+from gonio.typing import Floats, NDArray
+
+if TYPE_CHECKING:
+    from gonio.models.model import Model
+
+
+@dataclass(frozen=True)
+class Facets:
+    """What of a model reflects as mirror facets do, at one wavelength."""
+
+    index: complex
+    """n + ik of the facets."""
+    beside: float = 0.0
+    """What the model has beside them, where it is the same in every direction [1/sr]."""
+    alone: Model | None = None
+    """The model of the facets alone, where the rest is not the same in every direction."""
+
+
+class Light:
+    """The light and the analyser of measured values.
+
+    Parameters
+    ----------
+    at
+        Directions (n,).
+    incident, analysed : (n, 4) arrays
+        Stokes vectors and analysers' rows, on the bases of docs/conventions.md.
+    """
+
+    def __init__(self, at: Directions, incident: Floats, analysed: Floats) -> None:
+        self.at, self.incident, self.analysed = at, incident, analysed
+
+    def take(self, rows: Any) -> Light:
+        """That of some of the values."""
+        return Light(self.at[rows], self.incident[rows], self.analysed[rows])
+
+    @cached_property
+    def depolarised(self) -> Floats:
+        """(n,) What is seen of light that a sample depolarises, over its unpolarised BRDF."""
+        return np.asarray(self.incident[:, 0] * self.analysed[:, 0])
+
+    @cached_property
+    def _bases(self) -> tuple[NDArray[np.float64], NDArray[np.float64], Floats]:
+        """e_r.e_i and (e_r.k_i)(e_i.k_r), (n, 2, 2) with rows s, p of the reflected field; cosine at the facet (n,)."""
+        axes = []
+        for theta, phi, sense in ((self.at.theta_i, self.at.phi_i, -1.0), (self.at.theta_r, self.at.phi_r, 1.0)):
+            theta, phi = np.broadcast_to(theta, self.at.shape), np.broadcast_to(phi, self.at.shape)
+            k = sense * np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+            s = sense * np.stack([np.sin(phi), -np.cos(phi), np.zeros(phi.shape)], axis=-1)
+            axes.append((k, np.stack([s, np.cross(s, k)], axis=-2)))
+        (k_i, e_i), (k_r, e_r) = axes
+        along = np.einsum("nrk,nik->nri", e_r, e_i)
+        across = np.einsum("nrk,nk->nr", e_r, k_i)[:, :, None] * np.einsum("nik,nk->ni", e_i, k_r)[:, None, :]
+        return along, across, np.asarray(0.5 * np.linalg.norm(k_r - k_i, axis=-1))
+
+    @cached_property
+    def _weights(self) -> tuple[tuple[Floats, NDArray[np.complex128], Floats], ...]:
+        """Of J = D e + m k the sums tr(A e C e'), tr(A k C e'), tr(A k C k'): of this light, and of unpolarised light."""
+        e, k, _ = self._bases
+        out = []
+        for c, a in ((_coherency(self.incident), _analyser(self.analysed)), (0.5 * np.eye(2), np.eye(2))):
+            of_e, of_k = a @ e @ c, a @ k @ c
+            sums = ((of_e, e), (of_k, e), (of_k, k))
+            ee, ke, kk = (np.einsum("nij,nij->n", left, right) for left, right in sums)
+            out.append((ee.real, ke.astype(np.complex128), kk.real))
+        return tuple(out)
+
+    def of_facets(self, index: complex) -> Floats:
+        """(n,) What is seen of mirror facets, over their unpolarised BRDF.
+
+        J is -F_s {e_r.e_i + (n^2 - 1)/(2c (n^2 c + q)) (e_r.k_i)(e_i.k_r)}, see `gonio.models.HeTorrance.jones`; F_s
+        and the denominator are left out, so that nothing is divided at retro, at normal incidence or at grazing.
+        """
+        c = np.minimum(self._bases[2], 1.0)
+        square, contrast = index * index, (index - 1.0) * (index + 1.0)
+        d = 2.0 * c * (square * c + np.sqrt(contrast + c * c + 0j))
+        seen, all_of_it = (
+            np.abs(d) ** 2 * ee + 2.0 * (np.conj(d) * contrast * ke).real + abs(contrast) ** 2 * kk
+            for ee, ke, kk in self._weights
+        )
+        return np.asarray(np.where(all_of_it > 0.0, seen / np.where(all_of_it > 0.0, all_of_it, 1.0), self.depolarised))
+
+    def of_jones(self, jones: NDArray[np.complex128]) -> Floats:
+        """(n,) The same of Jones matrices (n, 2, 2), up to a factor each."""
+        left = _analyser(self.analysed) @ jones @ _coherency(self.incident)
+        seen = np.einsum("nij,nij->n", left, np.conj(jones)).real
+        all_of_it = 0.5 * np.sum(np.abs(jones) ** 2, axis=(-2, -1))
+        return np.asarray(np.where(all_of_it > 0.0, seen / np.where(all_of_it > 0.0, all_of_it, 1.0), self.depolarised))
+
+    def of_model(self, model: Model, evaluate: Callable[[Model], Floats], wavelength_nm: float) -> Floats:
+        """(n,) What is seen of a model [1/sr].
+
+        Parameters
+        ----------
+        model
+            With its parameters.
+        evaluate
+            The BRDF of a model for unpolarised light in these directions, (n,) [1/sr], as an instrument sees it.
+        wavelength_nm
+            Wavelength [nm].
+        """
+        from gonio.models.sum import Sum
+
+        if isinstance(model, Sum):
+            parts = (weight * self.of_model(m, evaluate, wavelength_nm) for m, weight in model.terms if weight > 0.0)
+            return np.asarray(sum(parts, np.zeros(len(self.depolarised))))
+        unpolarised = evaluate(model)
+        jones = model.jones_at(self.at, wavelength_nm)
+        if jones is not None:
+            return unpolarised * self.of_jones(jones)
+        facets = model.facets(wavelength_nm)
+        if facets is None:
+            return unpolarised * self.depolarised
+        lobe = unpolarised - facets.beside if facets.alone is None else evaluate(facets.alone)
+        return lobe * self.of_facets(facets.index) + (unpolarised - lobe) * self.depolarised
+
+
+def mueller(
+    model: Model, at: Directions, *, wavelength_nm: float = 550.0, evaluate: Callable[[Model], Floats] | None = None
+) -> Floats:
+    """Mueller matrices (n, 4, 4) [1/sr] of any model's lobe at directions (n,).
+
+    Rows are the reflected Stokes parameters I, Q, U, V, columns the incident ones (docs/conventions.md). `evaluate` is
+    that of `Light.of_model`; the lobe along the directions, unless it is given.
+    """
+
+    def alone(one: Model) -> Floats:
+        return np.asarray(one.brdf(*at.angles, wavelength_nm=wavelength_nm))
+
+    out = np.empty((len(at), 4, 4))
+    for row, column in np.ndindex(4, 4):
+        b, a = (np.broadcast_to(np.eye(4)[k], (len(at), 4)) for k in (column, row))
+        out[:, row, column] = Light(at, b, a).of_model(model, evaluate or alone, wavelength_nm)
+    return out
+
+
+def _coherency(stokes: Floats) -> NDArray[np.complex128]:
+    """<E E'> (..., 2, 2) of Stokes vectors (..., 4), U - iV = 2 E_s E_p*."""
+    i, q, u, v = np.moveaxis(stokes, -1, 0)
+    return 0.5 * np.moveaxis(np.array([[i + q, u - 1j * v], [u + 1j * v, i - q]]), (0, 1), (-2, -1))
+
+
+def _analyser(row: Floats) -> NDArray[np.complex128]:
+    """A (..., 2, 2) with tr(A <E E'>) = row . Stokes vector."""
+    return 2.0 * _coherency(row)
