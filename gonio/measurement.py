@@ -60,8 +60,9 @@ if TYPE_CHECKING:
     from gonio.models import Model
 
 __all__ = [
-    "COLUMNS", "Reading", "every_state", "is_simulated", "meta_path", "of_reader", "parse", "read", "reflection", "said_once",
-    "samples", "split", "tables", "transmission", "turned_over", "uncertainty", "unpolarised", "write", "write_model",
+    "COLUMNS", "Reading", "every_state", "is_simulated", "meta_path", "of_reader", "parse", "read", "reflection",
+    "said_once", "samples", "split", "tables", "transmission", "turned_over", "uncertainty", "unpolarised", "write",
+    "write_model",
 ]  # fmt: skip
 
 
@@ -365,7 +366,7 @@ class Reading:
 
 
 def tables(spec: str | Path, how: Reading | None = None) -> dict[str, DataFrame]:
-    """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample, as `unpolarised` leaves them.
+    """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample.
 
     Raises
     ------
@@ -375,8 +376,7 @@ def tables(spec: str | Path, how: Reading | None = None) -> dict[str, DataFrame]
     path, sample = split(spec)
     how = Reading() if how is None or Path(path).is_dir() else how
     frame = read(path, sample=sample, columns=how.columns)
-    found = samples(frame) if sample is None else {sample: frame}
-    return {name: unpolarised(table) for name, table in found.items()}
+    return samples(frame) if sample is None else {sample: frame}
 
 
 def unpolarised(frame: DataFrame) -> DataFrame:

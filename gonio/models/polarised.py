@@ -1,9 +1,9 @@
 """What models show of polarised light: an incident state, an analyser, and each model's Mueller matrix.
 
-A value that was measured with an incident Stokes vector b (b_0 = 1) and an analyser's row a is a M b, with M the Mueller
-matrix of the sample [1/sr] on the bases of docs/conventions.md. Facets reflect as mirrors (He1991 eqs. 59-65): M is
-their unpolarised BRDF times J (x) J* over its first element. What a model has beside its facets depolarises: of that M
-has the first element alone. So does a model without facets.
+A value that was measured with an incident Stokes vector b (b_0 = 1) and an analyser's row a is a M b, with M the
+Mueller matrix of the sample [1/sr] on the bases of docs/conventions.md. Facets reflect as mirrors (He1991 eqs. 59-65):
+M is their unpolarised BRDF times J (x) J* over its first element. What a model has beside its facets depolarises: of
+that M has the first element alone. So does a model without facets.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Light:
 
     @cached_property
     def _weights(self) -> tuple[tuple[Floats, NDArray[np.complex128], Floats], ...]:
-        """Of J = D e + m k the sums tr(A e C e'), tr(A k C e'), tr(A k C k'): of this light, and of unpolarised light."""
+        """Of J = D e + m k the sums tr(A e C e'), tr(A k C e') and tr(A k C k'); the same of unpolarised light."""
         e, k, _ = self._bases
         out = []
         for c, a in ((_coherency(self.incident), _analyser(self.analysed)), (0.5 * np.eye(2), np.eye(2))):

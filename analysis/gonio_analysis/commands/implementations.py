@@ -226,7 +226,7 @@ def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Obser
         listed = "; ".join(samples)
         raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
     name, frame = next(iter(samples.items()))
-    return name, observations(frame, table, u_rel), measurement.is_simulated(frame)
+    return name, observations(frame, table, u_rel, polarised=True), measurement.is_simulated(frame)
 
 
 def _short(tables: list[str]) -> list[str]:

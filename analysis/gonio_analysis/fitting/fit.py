@@ -164,7 +164,7 @@ def fit(
     if asked.each is not None and asked.energy:
         raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
     problem, start = pose(asked), asked.start
-    data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel)
+    data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel, polarised=True)
     if asked.each is not None:
         first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name, say=say)
         problem, data, notes = _together(problem, data, asked.each, name)

@@ -187,9 +187,8 @@ class Observations:
         return Light(self.directions, *polarisation.states(self.states)) if self.states.size else None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {
-            key: value for key, value in self.__dict__.items() if key not in ("cones", "light")
-        }  # made again where it is needed
+        made_again = ("cones", "light")
+        return {key: value for key, value in self.__dict__.items() if key not in made_again}
 
     def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Observations:
         """Some of the values; of all of them nothing is copied."""
@@ -222,10 +221,12 @@ Some = npt.NDArray[np.int32] | slice
 """Rows of a table."""
 
 
-def _why_left_out(table: DataFrame, directions: Directions, brdf: Floats) -> tuple[npt.NDArray[np.int32], list[str]]:
+def _why_left_out(
+    table: DataFrame, directions: Directions, brdf: Floats, polarised: bool
+) -> tuple[npt.NDArray[np.int32], list[str]]:
     """Why each row of a table is not used, by its place among the reasons; 0 for those that may be.
 
-    Transmission, which no model here describes; flagged rows; values that are not finite or are beyond
+    Transmission, which no model here describes; flagged rows, and polarised ones; values that are not finite or beyond
     any mirror; directions at or below the horizon.
     """
     import pandas as pd
@@ -242,6 +243,8 @@ def _why_left_out(table: DataFrame, directions: Directions, brdf: Floats) -> tup
 
     if "side" in table.columns:
         leave_out((table["side"] == "transmission").to_numpy(), TRANSMISSION)
+    if not polarised:
+        leave_out((why == 0) & (table["polarisation"] != polarisation.UNPOLARISED).to_numpy(), "polarised")
     leave_out((why == 0) & ~np.isfinite(brdf), "without a value")
     leave_out((why == 0) & (np.abs(brdf) > LARGEST), f"beyond {LARGEST:g} 1/sr")
     horizon = np.maximum(directions.theta_i, directions.theta_r) >= np.pi / 2 - AT_HORIZON
@@ -258,7 +261,9 @@ def _none_left(name: str, rows: int, omitted: Mapping[str, Floats]) -> DataError
     )
 
 
-def observations(table: DataFrame, name: str = "the table", u_rel: float | None = None) -> Observations:
+def observations(
+    table: DataFrame, name: str = "the table", u_rel: float | None = None, *, polarised: bool = False
+) -> Observations:
     """The usable rows of a measurement table.
 
     Left out, and counted by reason, is what cannot be used (`_why_left_out`), rows without an uncertainty in a table
@@ -270,6 +275,9 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
         A measurement table of one sample (`gonio.measurement`), and what messages call it.
     u_rel
         Relative standard uncertainty to assume of every value where the table states none; above 0 and below 1.
+    polarised
+        Take rows of polarised light as they were measured, and each element of a Mueller matrix as a value. Without it
+        what unpolarised light would show is taken, where every state was measured, and other polarised rows are not.
 
     Raises
     ------
@@ -277,10 +285,10 @@ def observations(table: DataFrame, name: str = "the table", u_rel: float | None 
         Not one row is usable; the message says why. `u_rel` is no such number.
     """
     check_u_rel(u_rel)
-    table = measurement.every_state(table)
+    table = measurement.every_state(table) if polarised else measurement.unpolarised(table)
     directions = Directions.from_table(table)
     brdf, wavelength = (table[name].to_numpy(np.float64) for name in ("brdf", "wavelength_nm"))
-    why, reasons = _why_left_out(table, directions, brdf)
+    why, reasons = _why_left_out(table, directions, brdf, polarised)
     known, stated, seen = _stated(table, brdf, why == 0)
     notes = of_reader(table)
     if stated[why == 0].any() and (lacking := (why == 0) & ~stated).any():

@@ -65,7 +65,7 @@ def fit_table(
     list of FitResult
         The fit that is reported first, then those at the other wavelengths that share its geometry.
     """
-    data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel)
+    data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel, polarised=True)
     first = fit(data, asked, name=name, say=say)
     if asked.wavelength_nm is not None or not shares(asked, data):
         return [first]

@@ -5,6 +5,7 @@ Everything that a report shows is computed here; `gonio_analysis.report` only dr
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -253,7 +254,8 @@ def examine(
     DataError
         No usable value, or too few for every one of the models.
     """
-    through, data = transmitted(table, name, wavelength_nm, u_rel), observations(table, name, u_rel)
+    through = transmitted(table, name, wavelength_nm, u_rel)
+    data = observations(table, name, u_rel, polarised=True)
     every, share = "all" in models, share if len(data) <= MOST_SENT else parallel.here
     choice = choose(
         data, candidates(models, ior), ior=ior, wavelength_nm=wavelength_nm, metric=metric, energy=bound_energy,
@@ -266,9 +268,18 @@ def examine(
     done = share(jobs, f"{name}: curves of models", progress)
     fitted = {j.candidate.label: one for j, one in zip(drawn, done, strict=True)}
     skipped = {} if every else choice.left_out
+    at = at if data.light is None else _described(table, name, u_rel, data).nearest(wavelength)[0]
     return Dataset(
         name, source, table, at, data.wavelengths, wavelength, found, fitted, skipped, choice, through, run
     )  # fmt: skip
+
+
+def _described(table: DataFrame, name: str, u_rel: float | None, data: Observations) -> Observations:
+    """What describes a sample that was measured in polarised light: unpolarised light, or the commonest state."""
+    with suppress(DataError):
+        return observations(table, name, u_rel)
+    words, counts = np.unique(data.states.astype(str), return_counts=True)
+    return data.take(data.states == words[int(np.argmax(counts))])
 
 
 def check_models(models: Sequence[str]) -> None:

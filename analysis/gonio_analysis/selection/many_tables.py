@@ -201,7 +201,7 @@ def _rows(job: _Job) -> list[Row]:
     out = []
     for sample, frame in samples.items():
         try:
-            data = observations(frame, job.table, job.asked.u_rel)
+            data = observations(frame, job.table, job.asked.u_rel, polarised=True)
             row["notes"] = " ".join(measurement.of_reader(frame))
             out.append(row | {"sample": sample} | _fitted(fit_table(data, job.asked, name=job.table)[0]))
         except Exception as error:  # whatever is wrong with one table, the others go on
