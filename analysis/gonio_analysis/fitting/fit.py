@@ -31,6 +31,7 @@ from gonio_analysis.fitting.forward import apparent, by_model, known_wavelength,
 from gonio_analysis.fitting.misfit import SETTLED, SMALLEST, TURNS, block_spread, estimated_tau, misfit
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
+from gonio_analysis.fitting.parameters import tells_index
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.profile_likelihood import Interval, Near, tied, walked
 from gonio_analysis.fitting.search import covariance, derivatives, gauss_newton, refine, search, search_from, settle
@@ -163,8 +164,9 @@ def fit(
         raise ConfigError(f"--wavelength-nm {asked.wavelength_nm:g}: all wavelengths are fitted together; leave it out")
     if asked.each is not None and asked.energy:
         raise ConfigError("--energy: the bound holds a fit at one wavelength; leave out --joint")
-    problem, start = pose(asked), asked.start
     data = table if isinstance(table, Observations) else observations(table, name, asked.u_rel, polarised=True)
+    asked = _with_index(asked, data)
+    problem, start = pose(asked), asked.start
     if asked.each is not None:
         first = fit(data, replace(asked, each=None, loss="linear", start=None, searches=STARTS), name=name, say=say)
         problem, data, notes = _together(problem, data, asked.each, name)
@@ -190,6 +192,16 @@ def fit(
         notes.append("Standard errors come from the scatter of the residuals; there is no chi-square.")
     notes += remarks(result)
     return replace(result, notes=[*data.notes, *result.notes, *notes], wall_s=time.perf_counter() - began)
+
+
+def _with_index(asked: FitRequest, data: Observations) -> FitRequest:
+    """With k free, too, where the light is polarised and nobody says what n + ik is: it tells them apart."""
+    known = asked.ior is not None or "k" in {*asked.free, *(asked.fix or ())}
+    return (
+        asked
+        if data.light is None or known or not tells_index(asked.model)
+        else replace(asked, free=(*asked.free, "k"))
+    )
 
 
 def elsewhere(first: FitResult, by_wavelength: Mapping[float, Observations], name: str) -> list[FitResult]:

@@ -186,6 +186,11 @@ class Observations:
         """Polarised light and analysers of the values; None where all of it is unpolarised."""
         return Light(self.directions, *polarisation.states(self.states)) if self.states.size else None
 
+    @property
+    def differences(self) -> npt.NDArray[np.bool_]:
+        """(n,) Which values are no intensities: elements of a Mueller matrix, and Stokes parameters."""
+        return differences(self.states) if self.states.size else np.zeros(len(self), dtype=bool)
+
     def __getstate__(self) -> dict[str, Any]:
         made_again = ("cones", "light")
         return {key: value for key, value in self.__dict__.items() if key not in made_again}
@@ -313,7 +318,8 @@ def observations(
         if u_rel is not None:
             notes.append(f"The table states its own uncertainties; the assumed {100 * u_rel:g} % is not used.")
     elif u_rel is not None:
-        covariance = independent(_assumed(brdf[keep], wavelength[keep], u_rel))
+        apart = differences(table["polarisation"].to_numpy(object)[keep])
+        covariance = independent(_assumed(brdf[keep], wavelength[keep], u_rel, apart))
         notes.append(ASSUMED.format(100 * u_rel))
     elif not any("no uncertainties" in note for note in notes):
         notes.append(UNSTATED)
@@ -497,11 +503,21 @@ def check_wavelength(wavelength_nm: float | None) -> None:
         raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: a wavelength is above 0 nm")
 
 
-def _assumed(brdf: Floats, wavelength_nm: Floats, u_rel: float) -> Floats:
-    """u_rel times each value; those far below the median of their wavelength count as a tenth of it."""
+def differences(states: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """(n,) Which words of the column `polarisation` are no intensities: Stokes parameters, elements of a matrix."""
+    return np.array([not word.islower() for word in states.tolist()], dtype=bool)
+
+
+def _assumed(brdf: Floats, wavelength_nm: Floats, u_rel: float, apart: npt.NDArray[np.bool_]) -> Floats:
+    """u_rel times each value; those far below the median of their wavelength count as a tenth of it.
+
+    Differences of intensities (`apart`) count as that median.
+    """
     _, group = np.unique(wavelength_nm, return_inverse=True)
-    medians = np.array([np.median(np.abs(brdf[group == k])) for k in range(int(group.max()) + 1)])
-    return np.asarray(u_rel * np.hypot(brdf, 2 * np.maximum(LINEAR_BELOW * medians, 1e-300)[group]))
+    kept = ~apart if not apart.all() else apart
+    medians = np.array([np.median(np.abs(brdf[(group == k) & kept])) for k in range(int(group.max()) + 1)])
+    least = np.where(apart, 1.0, 2 * LINEAR_BELOW) * medians[group]
+    return np.asarray(u_rel * np.hypot(brdf, np.maximum(least, 1e-300)))
 
 
 def describe_left_out(left_out: Mapping[str, int]) -> str:

@@ -367,7 +367,7 @@ def residuals_on_log_scale(
     problem: Problem, data: Observations, vector: Floats
 ) -> tuple[Floats, Floats, Covariance | None]:
     """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance."""
-    plain = Objective(data.brdf, None, smallest(data.brdf), metric="log")
+    plain = Objective(data.brdf, None, smallest(data), metric="log")
     predicted, near = (apparent(problem.model(vector), data, quick=quick) for quick in (False, True))
     lower, upper = problem.bounds
     inside = np.flatnonzero((vector > lower) & (vector < upper))

@@ -79,7 +79,7 @@ def draw_mueller(p: MuellerFacts, name: str, slug: str) -> list[Drawing]:
     """The elements over the angle, where there are in-plane curves."""
     if not any(p.lines.values()):
         return []
-    theory = f" Lines: {p.model}, fitted to the BRDF alone." if p.model else ""
+    theory = f" Lines: {p.model}, fitted to it." if p.model else ""
     caption = f"Mueller matrix: its elements over the first one, in the plane of incidence. Marks: measurement.{theory}"
     alt = f"Grid of the 15 elements of the Mueller matrix of {name} over the angle."
     return [Drawing(f"{slug}-mueller", "mueller", "", caption, alt, (6.4, 6.0), partial(_on_grid, lines=p.lines))]
@@ -93,7 +93,7 @@ def mueller_section(m: MuellerFacts, figures: Sequence[Figure]) -> list[Block]:
     )
     if m.model is not None:
         words += (
-            f" Residuals are measured less the matrix of {m.model}, which was fitted to the BRDF alone, in single"
+            f" Residuals are measured less the matrix of {m.model}, which was fitted to it, in single"
             " directions."
         )
     rows: list[Sequence[Text]] = [

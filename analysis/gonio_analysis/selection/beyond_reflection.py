@@ -14,6 +14,8 @@ import numpy as np
 
 from gonio import measurement, shown
 from gonio.formats.reader import MUELLER
+from gonio.geometry import Directions
+from gonio.models.polarised import mueller
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.curves.in_plane import Curve, Line, curves, labels, selection
 from gonio_analysis.fitting import energy
@@ -150,7 +152,7 @@ def polarisation(
     if not known or not table[known].notna().to_numpy().any():
         return None
     measured, u = (_columns(table, names, at) for names in (MUELLER, [f"u_{name}" for name in MUELLER]))
-    label, model = next(((n, f.model) for n, f in fits.items() if hasattr(f.model, "mueller")), (None, None))
+    label, model = next(((n, f.model) for n, f in fits.items()), (None, None))
     wave = NO_WAVELENGTH_NM
     if label is not None and np.isfinite(fits[label].wavelength_nm):
         wave = fits[label].wavelength_nm
@@ -177,5 +179,5 @@ def _columns(table: DataFrame, names: Any, at: Observations) -> Floats:
 
 def _ratios(model: Any, theta_i: Floats, phi_i: Floats, theta_r: Floats, phi_r: Floats, wave: float) -> Floats:
     """m01 to m33 of a model over its first element, (n, 15)."""
-    matrix = model.mueller(theta_i, phi_i, theta_r, phi_r, wavelength_nm=wave).reshape(-1, 16)
+    matrix = mueller(model, Directions(theta_i, phi_i, theta_r, phi_r), wavelength_nm=wave).reshape(-1, 16)
     return np.asarray(matrix[:, 1:] / np.where(matrix[:, :1] > 0, matrix[:, :1], np.nan))

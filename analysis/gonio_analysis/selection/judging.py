@@ -163,7 +163,7 @@ def _held_out(result: FitResult, folds: Sequence[Rows]) -> tuple[float | None, F
     everything = np.arange(0, len(result.data), -(-len(result.data) // MANY))
     free = np.arange(len(result.free))
     total, misses = 0.0, np.full(len(result.data), np.nan)
-    scale = 2.0 * smallest(result.data.brdf)
+    scale = 2.0 * smallest(result.data)
     for fold in (np.intersect1d(everything, whole) for whole in folds):
         rest = np.setdiff1d(everything, fold)
         if rest.size <= free.size:
