@@ -14,7 +14,7 @@ from gonio.geometry import Directions
 from gonio.models import engine, hemispherical
 from gonio.models.engine import SPLIT, Constants, Geometry, Kernel
 from gonio.models.parameters import Declaration, Fitted, Ior, Parameter, Parameters, checked_wavelength, plain
-from gonio.models.polarised import Facets
+from gonio.models.polarised import Facets, Light
 from gonio.typing import ArrayLike, Floats, NDArray
 
 Vector = tuple[float, float, float]
@@ -147,6 +147,26 @@ class Model(ABC):
         Rows are s, p of the reflected field, columns s, p of the incident one (docs/conventions.md). None of others.
         """
         return None
+
+    def in_light(self, light: Light, evaluate: "Callable[[Model], Floats]", wavelength_nm: float) -> Floats:
+        """What is seen of it [1/sr], (n,), in polarised light or through an analyser.
+
+        Parameters
+        ----------
+        light
+            Light, analysers and directions.
+        evaluate
+            The BRDF of a model for unpolarised light in these directions, (n,) [1/sr], as an instrument sees it.
+        wavelength_nm
+            Wavelength [nm].
+        """
+        unpolarised = evaluate(self)
+        if (jones := self.jones_at(light.at, wavelength_nm)) is not None:
+            return unpolarised * light.of_jones(jones)
+        if (facets := self.facets(wavelength_nm)) is None:
+            return unpolarised * light.depolarised
+        lobe = unpolarised - facets.beside if facets.alone is None else evaluate(facets.alone)
+        return lobe * light.of_facets(facets.index) + (unpolarised - lobe) * light.depolarised
 
     @property
     def depends_on_azimuth(self) -> bool:

@@ -105,33 +105,6 @@ class Light:
         all_of_it = 0.5 * np.sum(np.abs(jones) ** 2, axis=(-2, -1))
         return np.asarray(np.where(all_of_it > 0.0, seen / np.where(all_of_it > 0.0, all_of_it, 1.0), self.depolarised))
 
-    def of_model(self, model: Model, evaluate: Callable[[Model], Floats], wavelength_nm: float) -> Floats:
-        """(n,) What is seen of a model [1/sr].
-
-        Parameters
-        ----------
-        model
-            With its parameters.
-        evaluate
-            The BRDF of a model for unpolarised light in these directions, (n,) [1/sr], as an instrument sees it.
-        wavelength_nm
-            Wavelength [nm].
-        """
-        from gonio.models.sum import Sum
-
-        if isinstance(model, Sum):
-            parts = (weight * self.of_model(m, evaluate, wavelength_nm) for m, weight in model.terms if weight > 0.0)
-            return np.asarray(sum(parts, np.zeros(len(self.depolarised))))
-        unpolarised = evaluate(model)
-        jones = model.jones_at(self.at, wavelength_nm)
-        if jones is not None:
-            return unpolarised * self.of_jones(jones)
-        facets = model.facets(wavelength_nm)
-        if facets is None:
-            return unpolarised * self.depolarised
-        lobe = unpolarised - facets.beside if facets.alone is None else evaluate(facets.alone)
-        return lobe * self.of_facets(facets.index) + (unpolarised - lobe) * self.depolarised
-
 
 def mueller(
     model: Model, at: Directions, *, wavelength_nm: float = 550.0, evaluate: Callable[[Model], Floats] | None = None
@@ -139,7 +112,7 @@ def mueller(
     """Mueller matrices (n, 4, 4) [1/sr] of any model's lobe at directions (n,).
 
     Rows are the reflected Stokes parameters I, Q, U, V, columns the incident ones (docs/conventions.md). `evaluate` is
-    that of `Light.of_model`; the lobe along the directions, unless it is given.
+    that of `Model.in_light`; the lobe along the directions, unless it is given.
     """
 
     def alone(one: Model) -> Floats:
@@ -148,14 +121,14 @@ def mueller(
     out = np.empty((len(at), 4, 4))
     for row, column in np.ndindex(4, 4):
         b, a = (np.broadcast_to(np.eye(4)[k], (len(at), 4)) for k in (column, row))
-        out[:, row, column] = Light(at, b, a).of_model(model, evaluate or alone, wavelength_nm)
+        out[:, row, column] = model.in_light(Light(at, b, a), evaluate or alone, wavelength_nm)
     return out
 
 
 def _coherency(stokes: Floats) -> NDArray[np.complex128]:
     """<E E'> (..., 2, 2) of Stokes vectors (..., 4), U - iV = 2 E_s E_p*."""
     i, q, u, v = np.moveaxis(stokes, -1, 0)
-    return 0.5 * np.moveaxis(np.array([[i + q, u - 1j * v], [u + 1j * v, i - q]]), (0, 1), (-2, -1))
+    return np.asarray(0.5 * np.moveaxis(np.array([[i + q, u - 1j * v], [u + 1j * v, i - q]]), (0, 1), (-2, -1)))
 
 
 def _analyser(row: Floats) -> NDArray[np.complex128]:

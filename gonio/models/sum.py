@@ -9,6 +9,7 @@ from gonio.errors import ArgumentError
 from gonio.models.engine import Geometry, delivered
 from gonio.models.model import Model
 from gonio.models.parameters import Parameters, number
+from gonio.models.polarised import Light
 from gonio.typing import ArrayLike, Floats
 
 
@@ -80,6 +81,10 @@ class Sum(Model):
 
     def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0, out: Any = None) -> Any:
         return self._total(lambda m: m.at(geometry, wavelength_nm=wavelength_nm), out)
+
+    def in_light(self, light: Light, evaluate: Callable[[Model], Floats], wavelength_nm: float) -> Floats:
+        parts = (weight * m.in_light(light, evaluate, wavelength_nm) for m, weight in self.terms if weight > 0.0)
+        return np.asarray(sum(parts, np.zeros(len(light.depolarised))))
 
     @property
     def depends_on_azimuth(self) -> bool:

@@ -92,7 +92,7 @@ def test_attributes_without_their_file_are_said_to_be_unknown(tmp_path: Path) ->
         ("phi_i_deg", -90.0, "[0, 360)"),
         ("wavelength_nm", 0.0, "positive"),
         ("wavelength_nm", np.inf, "positive"),
-        ("polarisation", "sideways", "unpolarised, ss"),
+        ("polarisation", "sideways", '"unpolarised", a letter for the light'),
         ("brdf", np.inf, "finite"),
         ("u_brdf", -0.1, ">= 0"),
         ("u_random", np.inf, ">= 0"),

@@ -184,7 +184,7 @@ class Observations:
     @cached_property
     def light(self) -> Light | None:
         """Polarised light and analysers of the values; None where all of it is unpolarised."""
-        return Light(self.directions, *polarisation.states(self.states)) if self.states.size else None
+        return Light(self.directions, *polarisation.states(self.states.tolist())) if self.states.size else None
 
     @property
     def differences(self) -> npt.NDArray[np.bool_]:

@@ -92,10 +92,7 @@ def mueller_section(m: MuellerFacts, figures: Sequence[Figure]) -> list[Block]:
         "conventions.md: rows are the reflected light's I, Q, U, V, columns the incident light's."
     )
     if m.model is not None:
-        words += (
-            f" Residuals are measured less the matrix of {m.model}, which was fitted to it, in single"
-            " directions."
-        )
+        words += f" Residuals are measured less the matrix of {m.model}, which was fitted to it, in single directions."
     rows: list[Sequence[Text]] = [
         (code(e.name), str(e.points), *map(number, (e.rms, e.mean_residual, e.rms_residual, e.chi_square_per_value)))
         for e in m.elements

@@ -86,7 +86,7 @@ def parts(words: str) -> npt.NDArray[np.float64]:
 
     def of(word: str) -> npt.NDArray[np.float64]:
         light = Light(at, *polarisation.states([word] * len(at)))
-        return light.of_model(BLACK, lambda m: np.asarray(m.brdf(*at.angles)), 550.0)
+        return BLACK.in_light(light, lambda m: np.asarray(m.brdf(*at.angles)), 550.0)
 
     return np.array([of(word) for word in words.split()])
 

@@ -55,7 +55,8 @@ def test_a_wrong_sign_is_seen(table: pd.DataFrame) -> None:
     dataset = examine(table.assign(m22=-table["m22"]), ["he-torrance"], name="metal", ior=INDEX)
     chi = {e.name: e.chi_square_per_value for e in known(dataset.polarisation).elements}
     assert known(chi["m22"]) > 100
-    assert max(value for name, value in chi.items() if name != "m22" and value is not None) < 3
+    # the matrix is fitted whole, so that a wrong element pulls at all
+    assert max(value for name, value in chi.items() if name != "m22" and value is not None) < 0.1 * known(chi["m22"])
 
 
 @pytest.mark.slow

@@ -1,0 +1,113 @@
+"""Fits of polarised rows: what made them comes back, one polariser is enough, and matrices are fitted whole."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from gonio_analysis.curves.in_plane import curves
+from gonio_analysis.fitting.fit import FitResult, fit
+from gonio_analysis.fitting.observations import observations
+
+from gonio import measurement, polarisation
+from gonio.formats.reader import MUELLER
+from gonio.geometry import Directions
+from gonio.models import GGX, CookTorrance, HeTorrance, Model, OrenNayar, Sum
+from gonio.models.polarised import Light, mueller
+
+METAL = HeTorrance(0.15, 2.0, ior=2.9 + 3.1j, diffuse_albedo=0.05)
+
+
+def polarised(model: Model, words: str, *, seed: int = 1, u_rel: float = 0.01) -> pd.DataFrame:
+    """In-plane values of a model in some states, with independent errors."""
+    plan = [
+        (theta_i, 0.0, abs(theta_r), 180.0 * (theta_r >= 0), word)
+        for theta_i in (10.0, 30.0, 50.0, 65.0)
+        for theta_r in np.arange(-75.0, 76.0, 5.0)
+        for word in words.split()
+    ]
+    frame = pd.DataFrame(plan, columns=["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "polarisation"])
+    at = Directions.from_table(frame)
+    light = Light(at, *polarisation.states(frame["polarisation"].tolist()))
+    true = model.in_light(light, lambda m: np.asarray(m.brdf(*at.angles)), 550.0)
+    u = u_rel * np.abs(true) + 1e-5
+    noise = np.random.default_rng(seed).standard_normal(len(frame))
+    frame = frame.assign(wavelength_nm=550.0, brdf=true + u * noise, u_brdf=u, u_random=u, flag="")
+    frame.attrs |= {"source_solid_angle_sr": 0.0, "receiver_solid_angle_sr": 0.0}
+    return frame
+
+
+def holds(found: FitResult, **true: float) -> None:
+    """Not rejected, and within 4 u: of some tens of numbers here none lies beyond by chance."""
+    assert not found.rejected, found.verdict
+    for name, value in true.items():
+        e = found.parameters[name]
+        assert e.u is not None
+        assert abs(e.value - value) < 4.0 * e.u, (name, e)
+
+
+@pytest.mark.parametrize("words", ["s", "p", "s p", "ss sp ps pp", "dd da", "us up", "sI sQ dU dV", "r rl unpolarised"])
+def test_he_torrance_comes_back_from_any_states(words: str) -> None:
+    holds(fit(polarised(METAL, words), "he-torrance"), sigma0_um=0.15, tau_um=2.0, diffuse_albedo=0.05)
+
+
+def test_polarisation_tells_n_from_k() -> None:
+    """Unpolarised values leave them open, light at 45 degrees with an analyser does not."""
+    open_ = fit(polarised(METAL, "unpolarised"), "he-torrance", free=("k",)).parameters["ior"]
+    found = fit(polarised(METAL, "dd da"), "he-torrance")
+    holds(found, ior=2.9, k=3.1)
+    told = found.parameters["ior"]
+    assert open_.u is not None
+    assert told.u is not None
+    assert told.u < 0.1 * open_.u
+
+
+@pytest.mark.parametrize(
+    ("model", "name", "true"),
+    [
+        (GGX(0.2, 1.5, 0.1), "ggx", {"alpha": 0.2, "ior": 1.5, "diffuse_albedo": 0.1}),
+        (
+            CookTorrance(0.3, 0.7, 0.25, 1.2 + 6j, diffuse_albedo=0.4),
+            "cook-torrance",
+            {"m": 0.25, "ior": 1.2, "k": 6.0},
+        ),
+        (
+            Sum((OrenNayar(0.4, 20.0), 1.0), (GGX(0.15, 1.5), 0.3)),
+            "oren-nayar+ggx",
+            {"albedo": 0.4, "sigma_deg": 20.0, "alpha": 0.15},
+        ),
+    ],
+)
+def test_facets_and_sums_come_back(model: Model, name: str, true: dict[str, float]) -> None:
+    holds(fit(polarised(model, "ss sp ps pp dd"), name), **true)
+
+
+def test_a_mueller_matrix_is_fitted_element_by_element() -> None:
+    frame = polarised(METAL, "unpolarised")
+    at = Directions.from_table(frame)
+    matrix = mueller(METAL, at).reshape(-1, 16)
+    noise = np.random.default_rng(3).normal(0.0, 0.01, (len(frame), 15))
+    for k, element in enumerate(MUELLER):
+        frame[element] = matrix[:, k + 1] / matrix[:, 0] + noise[:, k]
+        frame[f"u_{element}"] = 0.01
+    data = observations(frame, polarised=True)
+    assert len(data) == 16 * len(frame)
+    assert int(data.differences.sum()) == 15 * len(frame)
+    holds(fit(data, "he-torrance"), sigma0_um=0.15, ior=2.9, k=3.1)
+    assert len(curves(data)) == 4  # an incidence each: elements are no curves
+
+
+def test_states_have_curves_of_their_own_and_unpolarised_light_is_their_mean() -> None:
+    frame = polarised(METAL, "s p")
+    found = curves(observations(frame, polarised=True))
+    assert [c.state for c in found] == ["p", "s"] * 4
+    assert found[0].label == "θi = 10°, p"
+    plain = observations(frame)
+    assert len(plain) == len(frame) // 2
+    s = frame.loc[frame["polarisation"] == "s", "brdf"].to_numpy()
+    p = frame.loc[frame["polarisation"] == "p", "brdf"].to_numpy()
+    assert plain.brdf == pytest.approx(0.5 * (s + p), rel=1e-12)
+
+
+def test_every_state_leaves_an_unpolarised_table_alone() -> None:
+    frame = polarised(METAL, "unpolarised")
+    assert measurement.every_state(frame) is frame
+    assert observations(frame, polarised=True).light is None
