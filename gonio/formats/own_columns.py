@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
+from gonio import polarisation
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.formats import workbook
@@ -23,7 +24,6 @@ from gonio.formats.column_hints import NEEDED, columns_line, unit_in
 from gonio.formats.reader import (
     ANGLES,
     COLUMNS,
-    POLARISATIONS,
     SIDES,
     U_ANGLES,
     fold,
@@ -384,7 +384,7 @@ def _is_given(name: str, column: Column) -> bool:
     return bool(_NUMBER.fullmatch(column.own)) or column.own in _GIVEN_WORDS.get(name, ())
 
 
-_GIVEN_WORDS = {"polarisation": POLARISATIONS, "side": SIDES}
+_GIVEN_WORDS = {"polarisation": polarisation.WORDS, "side": SIDES}
 
 
 def _is_header(cells: list[str], found: Mapping[str, Column]) -> bool:
