@@ -423,11 +423,17 @@ def unpolarised(frame: DataFrame) -> DataFrame:
     return out
 
 
+FIRST = "first_element"
+"""Column of `every_state`: the first element of a matrix [1/sr] that the row's value is a ratio times; else NaN."""
+
+
 def every_state(frame: DataFrame) -> DataFrame:
     """The table with a row for each element of its Mueller matrices, after all others.
 
     Such a row has the word of the element (`gonio.polarisation.MUELLER`) and the index of the row that it comes from.
-    Its value is the element [1/sr]; the uncertainty of the first one goes along, causes with their signs.
+    Tables state elements over the first one, in which all that is common to both cancels. So the value is that ratio
+    times the measured first element (column `first_element`), with the uncertainty of the ratio alone; where none is
+    stated, with the relative one of the first element.
     """
     import pandas as pd
 
@@ -435,12 +441,12 @@ def every_state(frame: DataFrame) -> DataFrame:
     for element, word in polarisation.MUELLER.items():
         if element not in frame.columns or not (there := frame[element].notna()).any():
             continue
-        rows, ratio = frame[there], frame.loc[there, element]
-        own = rows[f"u_{element}"].fillna(0.0) if f"u_{element}" in rows else 0.0
-        causes = {name: rows[name] * ratio for name in rows.columns if name.startswith("s_")}
-        random = np.hypot(uncertainty(rows)[0] * ratio, rows["brdf"] * own)
-        total = np.sqrt(random**2 + sum((c**2 for c in causes.values()), 0.0 * random))
-        values = {"brdf": rows["brdf"] * ratio, "u_random": random, "u_brdf": total, **causes}
+        rows = frame[there]
+        stated = np.abs(rows["brdf"]) * rows[f"u_{element}"] if f"u_{element}" in rows else np.nan
+        u = uncertainty(rows)[0]
+        own = np.where(np.isfinite(stated), stated, u) if np.isfinite(u).any() else stated
+        causes = {name: 0.0 for name in rows.columns if name.startswith("s_")}
+        values = {"brdf": rows["brdf"] * rows[element], "u_random": own, "u_brdf": own, FIRST: rows["brdf"], **causes}
         parts.append(rows.assign(polarisation=word, **values))
     if len(parts) == 1:
         return frame

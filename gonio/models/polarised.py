@@ -43,14 +43,27 @@ class Light:
         Directions (n,).
     incident, analysed : (n, 4) arrays
         Stokes vectors and analysers' rows, on the bases of docs/conventions.md.
+    first : (n,) array, optional
+        Measured first elements of Mueller matrices [1/sr] that values are ratios times; NaN for other values.
     """
 
-    def __init__(self, at: Directions, incident: Floats, analysed: Floats) -> None:
-        self.at, self.incident, self.analysed = at, incident, analysed
+    def __init__(self, at: Directions, incident: Floats, analysed: Floats, first: Floats | None = None) -> None:
+        self.at, self.incident, self.analysed, self.first = at, incident, analysed, first
 
     def take(self, rows: Any) -> Light:
         """That of some of the values."""
-        return Light(self.at[rows], self.incident[rows], self.analysed[rows])
+        return Light(
+            self.at[rows], self.incident[rows], self.analysed[rows], None if self.first is None else self.first[rows]
+        )
+
+    def seen(self, model: Model, evaluate: Callable[[Model], Floats], wavelength_nm: float) -> Floats:
+        """What is seen of a model [1/sr], as `Model.in_light`; ratios are times the measured first element."""
+        values = model.in_light(self, evaluate, wavelength_nm)
+        if self.first is None:
+            return values
+        ratio = np.isfinite(self.first)
+        whole = np.where(ratio, evaluate(model), 1.0)
+        return np.where(ratio & (whole != 0.0), values / np.where(whole == 0.0, 1.0, whole) * self.first, values)
 
     @cached_property
     def depolarised(self) -> Floats:

@@ -80,7 +80,7 @@ def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[R
     for here, rule in zip(at.cones, rules or [None] * len(at.cones), strict=True):
         one, wave = _alone(model, here.wavelength_nm)
         value = partial(_value, cones=here.cones, wave=wave, without_width=here.pointlike, quick=quick, rules=rule)
-        out[here.rows] = value(one) if here.light is None else one.in_light(here.light, value, wave)
+        out[here.rows] = value(one) if here.light is None else here.light.seen(one, value, wave)
     return out
 
 
@@ -125,7 +125,7 @@ def seen(
     value = partial(_value, cones=through, wave=wave, without_width=cones == (0.0, 0.0))
     if state == UNPOLARISED:
         return value(model)
-    return model.in_light(Light(at, *states([state] * len(at))), value, wave)
+    return np.asarray(model.in_light(Light(at, *states([state] * len(at))), value, wave))
 
 
 def _value(

@@ -120,6 +120,9 @@ class Observations:
     """(n,) The part of the independent uncertainties [1/sr] that errors of the angles make; empty where unknown."""
     states: npt.NDArray[Any] = field(default_factory=lambda: np.zeros(0, dtype=object))
     """(n,) Words of the column `polarisation`; empty where all of the light is unpolarised."""
+    first: Floats = field(default_factory=lambda: np.zeros(0))
+    """(n,) Measured first elements of Mueller matrices [1/sr] that values are ratios times, NaN for others; empty where
+    there are none."""
     u_rel_assumed: float | None = None
     """Relative uncertainty that somebody assumes, where the table states none: `covariance` is then made from it."""
 
@@ -184,7 +187,10 @@ class Observations:
     @cached_property
     def light(self) -> Light | None:
         """Polarised light and analysers of the values; None where all of it is unpolarised."""
-        return Light(self.directions, *polarisation.states(self.states.tolist())) if self.states.size else None
+        if not self.states.size:
+            return None
+        first = self.first if self.first.size else None
+        return Light(self.directions, *polarisation.states(self.states.tolist()), first)
 
     @property
     def differences(self) -> npt.NDArray[np.bool_]:
@@ -199,7 +205,7 @@ class Observations:
         """Some of the values; of all of them nothing is copied."""
         if rows.all() if rows.dtype == bool else np.array_equal(rows, np.arange(len(self))):
             return self
-        some = [name for name in ("part", "u_angles", "states") if getattr(self, name).size]
+        some = [name for name in ("part", "u_angles", "states", "first") if getattr(self, name).size]
         taken = {name: getattr(self, name)[rows] for name in ("directions", "wavelength_nm", "brdf", "rows", *some)}
         return replace(self, covariance=self.covariance and self.covariance.take(rows), **taken)
 
@@ -342,6 +348,9 @@ def observations(
         u_rel_assumed=None if stated[keep].any() else u_rel,
         **_of_angles(table, keep),
         states=_states(table["polarisation"].to_numpy(object)[keep]),
+        first=_first(
+            table[measurement.FIRST].to_numpy(np.float64)[keep] if measurement.FIRST in table else np.zeros(0)
+        ),
     )
 
 
@@ -436,6 +445,10 @@ def _states(words: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return words if (words != polarisation.UNPOLARISED).any() else np.zeros(0, dtype=object)
 
 
+def _first(elements: Floats) -> Floats:
+    return elements if np.isfinite(elements).any() else np.zeros(0)
+
+
 def together(several: Mapping[str, Observations]) -> Observations:
     """The values of several tables of one sample as one, by name: each with its own instrument and its own causes.
 
@@ -477,6 +490,7 @@ def together(several: Mapping[str, Observations]) -> Observations:
         part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
         u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),
         states=_states(np.concatenate(words)),
+        first=_first(np.concatenate([one.first if one.first.size else np.full(len(one), np.nan) for one in each])),
     )
 
 

@@ -207,14 +207,15 @@ def _levelled(problem: Problem, data: Observations, starts: Sequence[Floats], sa
 
     (least, residual), best = costs(), vectors.copy()
     known = [problem.known_slopes(start) for start in starts]
-    for name in known[0]:
+    flat = 1.0 if data.light is None else data.light.depolarised
+    for name in () if data.first.size else known[0]:
         k, slope = problem.free.index(name), np.array([one[name] for one in known])
         for _ in range(LEVELLED):
-            column = goal.slopes(predicted, np.broadcast_to(slope[:, None], predicted.shape))
+            column = goal.slopes(predicted, np.broadcast_to(slope[:, None] * flat, predicted.shape))
             weight = column / (1.0 + residual**2)
             step = (weight * residual).sum(axis=1) / np.maximum((weight * column).sum(axis=1), 1e-300)
             moved = np.clip(vectors[:, k] - step, lower[k], upper[k])
-            predicted += (slope * (moved - vectors[:, k]))[:, None]
+            predicted += (slope * (moved - vectors[:, k]))[:, None] * flat
             vectors[:, k] = moved
             cost, residual = costs()
             best[cost < least] = vectors[cost < least]
@@ -420,7 +421,7 @@ def derivatives(
     of the quick model they are one-sided ones of that, by one more evaluation a parameter.
     """
     lower, upper = problem.bounds
-    known = problem.known_slopes(vector)
+    known = {} if data.first.size else problem.known_slopes(vector)
     asked = list(range(vector.size) if only is None else only)
     columns = np.empty((vector.size, len(data)))
     for k in (k for k in asked if problem.free[k] in known):

@@ -173,7 +173,7 @@ def _spikes(f: FittedModel) -> str:
 
 
 def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
-    model, f, data = names[0], d.fitted[names[0]], d.data
+    model, f, data = names[0], d.fitted[names[0]], d.fitted[names[0]].fit.data
     lines, stated = [c.absolute() for c in f.drawn], f.fit.goal.whitened
     rest = np.setdiff1d(np.arange(len(data)), [row for c in f.drawn for row in c.curve.rows])
     at = data.directions[rest]

@@ -165,18 +165,19 @@ def _profiles(s: DatasetSummary, path: Path) -> None:
 
 def _values(d: Dataset, path: Path) -> None:
     """Fitted values with every model's prediction."""
-    data = d.data
+    data = next((f.fit.data for f in d.fitted.values()), d.data)
     angles = [_degrees(x) for x in data.directions.angles]
+    states = {"polarisation": data.states} if data.states.size else {}
     models, c = list(d.fitted), data.covariance
     values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
     write_columns(
         path,
         (
-            *("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf"),
+            *("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", *states, "brdf", "u_brdf"),
             *(f"{m} {what}" for m in models for what in ("brdf", "whitened_residual")),
             *(("u_random", *(f"s_{cause}" for cause in c.causes)) if c is not None else ()),
         ),
-        [[*angles, data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ())]],
+        [[*angles, *states.values(), data.brdf, data.u, *values, *((c.random, *c.common.T) if c is not None else ())]],
     )
 
 

@@ -6,7 +6,6 @@ a fitted model, element by element.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -141,21 +140,19 @@ class MuellerFacts:
 
 
 def polarisation(
-    table: DataFrame, at: Observations, drawn: list[Curve], fits: Mapping[str, FitResult]
+    table: DataFrame, at: Observations, drawn: list[Curve], label: str | None, fit: FitResult | None
 ) -> MuellerFacts | None:
     """The Mueller matrices of a table; None where it holds none.
 
-    The model is the first of the fitted ones that has a Mueller matrix (He-Torrance), as it was fitted to the BRDF
-    alone; its matrix is that of single directions, without the cones of source and receiver.
+    Beside them is the model `fit`, called `label`: its matrix in single directions, without the cones of source and
+    receiver.
     """
     known = [name for name in MUELLER if name in table.columns]
     if not known or not table[known].notna().to_numpy().any():
         return None
     measured, u = (_columns(table, names, at) for names in (MUELLER, [f"u_{name}" for name in MUELLER]))
-    label, model = next(((n, f.model) for n, f in fits.items()), (None, None))
-    wave = NO_WAVELENGTH_NM
-    if label is not None and np.isfinite(fits[label].wavelength_nm):
-        wave = fits[label].wavelength_nm
+    model = None if fit is None else fit.model
+    wave = NO_WAVELENGTH_NM if fit is None or not np.isfinite(fit.wavelength_nm) else fit.wavelength_nm
     theory = None if model is None else _ratios(model, *at.directions.angles, wave)
     lines: dict[str, list[Line]] = {name: [] for name in MUELLER}
     for curve, name in zip(drawn, labels(drawn), strict=True):

@@ -196,8 +196,10 @@ class Dataset:
     @cached_property
     def polarisation(self) -> MuellerFacts | None:
         """The Mueller matrices that the table holds."""
-        fits = {label: one.fit for label, one in self.fitted.items()}
-        return polarisation(self.table, self.data, self.curves, fits)
+        best = self.choice.best.candidate.label if self.choice.best is not None else None
+        known = self.fitted.get(best or "") or next(iter(self.fitted.values()), None)
+        label = next((name for name, one in self.fitted.items() if one is known), None)
+        return polarisation(self.table, self.data, self.curves, label, None if known is None else known.fit)
 
     @property
     def simulated(self) -> bool:

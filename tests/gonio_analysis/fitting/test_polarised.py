@@ -90,7 +90,7 @@ def test_a_mueller_matrix_is_fitted_element_by_element() -> None:
         frame[f"u_{element}"] = 0.01
     data = observations(frame, polarised=True)
     assert len(data) == 16 * len(frame)
-    assert int(data.differences.sum()) == 15 * len(frame)
+    assert int(data.differences.sum()) == np.isfinite(data.first).sum() == 15 * len(frame)
     holds(fit(data, "he-torrance"), sigma0_um=0.15, ior=2.9, k=3.1)
     assert len(curves(data)) == 4  # an incidence each: elements are no curves
 
