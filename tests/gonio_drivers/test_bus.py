@@ -186,20 +186,6 @@ def test_a_port_that_goes_away() -> None:
             bus.ping(1)
 
 
-@pytest.mark.parametrize(
-    ("port", "said", "told"),
-    [
-        ("COM9", "could not open port 'COM9': FileNotFoundError(2, 'no such file', None, 2)", "there is no such port"),
-        ("COM3", "could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)", "the port is taken"),
-        ("socket://127.0.0.1:9", "Could not open port: [Errno 111] Connection refused", "is the server running there"),
-    ],
-)
-def test_ports_of_other_systems_are_named(port: str, said: str, told: str) -> None:
-    error = ports.unopened(port, serial.SerialException(said), "devices.light.port")
-    assert str(error).startswith(f'devices.light.port = "{port}": ')
-    assert told in str(error)
-
-
 def test_a_server_that_hangs_up_is_named() -> None:
     error = ports.lost("socket://host:1", serial.SerialException("socket disconnected"), "devices.light.port")
     assert "the server has closed the connection (socket disconnected)" in str(error)

@@ -86,7 +86,11 @@ def said(run: Run, kind: str) -> list[str]:
 
 
 def test_every_step_holds_temperature_current_and_voltage_of_every_servo(serve: Serve, tmp_path: Path) -> None:
-    run = measure(serve(described()), tmp_path)
+    twins = serve(described())
+    run = measure(twins, tmp_path)
+    assert_true(run, points=4)
+    assert twins.quiet
+    assert not any(servo.torque for servo in twins.servos.values())
     for step in run.steps():
         seen = {(r.device, r.quantity): (r.value, r.unit) for r in step.health}
         for axis in run.description.axes():

@@ -90,12 +90,6 @@ def remarks(run: Run) -> list[str]:
 # ---- measurements ----
 
 
-def test_a_measurement_over_the_wire_gives_the_sample(twins: Twins, tmp_path: Path) -> None:
-    assert_true(measure(twins, tmp_path), points=4)
-    assert twins.quiet
-    assert not any(servo.torque for servo in twins.servos.values())
-
-
 def test_wire_lamp_and_camera_faults_are_mended_in_a_measurement_and_told(twins: Twins, tmp_path: Path) -> None:
     twins.world.description.devices["camera"]["timeout_s"] = SHORT_S  # of a missing file
     rng = random.Random(11)

@@ -109,17 +109,6 @@ def test_dark_at_construction_lit_when_asked_dark_on_leaving(lamp: Plugged) -> N
     assert orders == EXCHANGES[lamp.name]
 
 
-def test_dark_after_an_exception(lamp: Plugged) -> None:
-    def fail(light: SerialLight) -> None:
-        light.select(BANDS[0])
-        light.on()
-        raise RuntimeError
-
-    with pytest.raises(RuntimeError), lamp.driver() as light:
-        fail(light)
-    assert not lamp.twin.shine.lit
-
-
 @pytest.mark.usefixtures("real_time")
 def test_dark_after_kill_9(lamp: Plugged, tmp_path: Path) -> None:
     table = {"port": lamp.port, "dialect": lamp.name, "settle_s": 0.0}
@@ -468,13 +457,6 @@ def test_an_interlock_that_opens_while_the_lamp_warms_up_ends_the_wait(
         with pytest.raises(EmergencyStop):
             light.on()
         assert not lamp.twin.shine.lit
-
-
-@pytest.mark.parametrize(("identity", "named"), [("", "scpi on COM3"), ("ACME L1", "ACME L1 on COM3")])
-def test_a_lamp_is_called_as_it_says_or_by_its_dialect(identity: str, named: str) -> None:
-    lamp: Any = object.__new__(SerialLight)
-    lamp.identity, lamp._dialect, lamp._light = identity, SimpleNamespace(name="scpi"), SimpleNamespace(port="COM3")
-    assert str(lamp) == named
 
 
 @pytest.mark.parametrize(("answer", "locked"), [("IN", True), ("OUT", False)])

@@ -38,17 +38,22 @@ def test_each_error_of_the_system_has_its_remedy(number: int, said: str, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("name", "text", "said"),
     [
-        ("Could not exclusively lock port", "the port is taken"),
-        ("Could not configure port: (25, ...)", "this is no serial port"),
-        ("what nobody expects", "cannot be opened as a serial port: what nobody expects"),
+        ("", "Could not exclusively lock port", "the port is taken"),
+        ("", "Could not configure port: (25, ...)", "this is no serial port"),
+        ("", "what nobody expects", "cannot be opened as a serial port: what nobody expects"),
+        ("COM9", "could not open port 'COM9': FileNotFoundError(2, 'no such file', None, 2)", "there is no such port"),
+        ("COM3", "could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)", "the port is taken"),
+        ("socket://127.0.0.1:9", "Could not open port: [Errno 111] Connection refused", "is the server running there"),
     ],
 )
-def test_words_of_the_library_tell_where_there_is_no_number(text: str, said: str, tmp_path: Path) -> None:
-    port = tmp_path / "port"
-    port.touch()
-    assert said in str(ports.unopened(str(port), failed(None, text), "devices.light.port"))
+def test_words_of_the_library_tell_where_there_is_no_number(name: str, text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "port").touch()
+    port = name or str(tmp_path / "port")
+    told = str(ports.unopened(port, failed(None, text), "devices.light.port"))
+    assert told.startswith(f'devices.light.port = "{port}": ')
+    assert said in told
 
 
 def test_a_port_that_is_not_there_is_no_such_port_whatever_the_error(tmp_path: Path) -> None:

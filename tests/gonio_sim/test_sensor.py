@@ -41,7 +41,7 @@ def electrons(of: Sensor, mean: float | None, exposure_s: float = 1.0, key: int 
     return (mosaic.astype(float) - model.black_level_dn) * model.electrons_per_dn
 
 
-@pytest.mark.parametrize("mean", [0.0, 1e-4, 0.01, 0.3, 3.0, 10.0, 24.99, 25.0, 40.0, 99.0, 101.0, 1000.0, 10000.0])
+@pytest.mark.parametrize("mean", [0.0, 1e-4, 0.3, 10.0, 24.99, 101.0, 1000.0, 10000.0])
 def test_photon_transfer(mean: float) -> None:
     """Mean, variance and third central moment of the charge are equal, and it is in whole electrons."""
     charge = electrons(sensor(photon_noise=True), mean)
@@ -63,7 +63,7 @@ def observed_and_expected(counts: npt.NDArray[np.int64], mean: float) -> tuple[n
 
 
 # near 0; on and beside a row of the table (1/8 e-); on both sides of the change of method; far into the expansion
-@pytest.mark.parametrize("mean", [1e-3, 0.03, 0.125, 0.2499, 3.0, 10.0, 11.9, 24.9, 25.0, 25.1, 40.0, 99.0, 300.0])
+@pytest.mark.parametrize("mean", [1e-3, 0.125, 0.2499, 3.0, 11.9, 24.9, 25.1, 99.0, 300.0])
 def test_electrons_are_poisson_numbers(mean: float) -> None:
     """The whole distribution is right: chi-square over all counts of ten frames."""
     of = sensor(photon_noise=True, electrons_per_dn=1.0)

@@ -5,11 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from gonio.lab.acquisition.plan import Plan
 from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.acquisition.run import Run
+from gonio.lab.reduction import brdf
 from gonio.lab.rig.description import RigDescription
 from tests.gonio import numpy_rig
 from tests.gonio.numpy_rig import plan_in
@@ -51,6 +53,12 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(measured: Path) -> list[StepRecord]:
     """Its steps."""
     return list(Run.open(measured).steps())
+
+
+@pytest.fixture(scope="session")
+def table(measured: Path) -> pd.DataFrame:
+    """Its reduction; not to be written to."""
+    return brdf.reduce(Run.open(measured))
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from gonio.lab.acquisition import session
 from gonio.lab.acquisition.journal import Events
 from gonio.lab.acquisition.measure import RigChoice, carry_out
 from gonio.lab.acquisition.plan import Plan, load_plan
+from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.acquisition.repair import find_damage
 from gonio.lab.acquisition.run import Run
 from gonio.lab.rig import Frame, Step
@@ -45,8 +46,9 @@ class Instant(NumpyRig):
         return Frame(self._mosaic, exposure_s, camera.black_level_dn, camera.white_level_dn, time_s=time_s)
 
 
-@pytest.fixture
-def plan(tmp_path: Path) -> Plan:
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    tmp_path = tmp_path_factory.mktemp("plan")
     (tmp_path / "plan.toml").write_text(
         'name = "many"\nwavelength_nm = [550]\n[[sweep]]\ntheta_i_deg = [20]\n'
         f"theta_r_deg = {[round(30 + 0.1 * k, 3) for k in range(POINTS)]}\n"
@@ -62,6 +64,15 @@ def measure(plan: Plan, out: Path, *, dies_at: int = -1, resume: bool = False) -
     )
     rig = Plugin(options={"dies_at": dies_at}, kind=Instant)
     return carry_out(plan, RigChoice(rig, description, "instant"), out, sample=SAMPLE, resume=resume)
+
+
+@pytest.fixture(scope="module")
+def steps(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> list[StepRecord]:
+    """Those of the whole run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("secrets.token_hex", lambda size: "1d" * size)
+        patch.setattr("os.fsync", lambda descriptor: None)
+        return list(measure(plan, tmp_path_factory.mktemp("whole") / "run").steps())
 
 
 @pytest.fixture
@@ -100,7 +111,7 @@ def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
 
 
 def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plan: Plan, steps: list[StepRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
     monkeypatch.setattr(session, "TOGETHER_S", 0.01)
@@ -115,7 +126,7 @@ def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
     assert len(before) >= session.PACE_STEPS
     run = measure(plan, tmp_path / "cut", resume=True)
     assert list(run.steps())[: len(before)] == before
-    assert list(run.steps()) == list(measure(plan, tmp_path / "whole").steps())
+    assert list(run.steps()) == steps
     named = {frame.file for step in run.steps() for frame in step.frames}
     assert {path.name for path in (run.path / "frames").iterdir()} == named
 
@@ -151,9 +162,9 @@ def test_no_frame_has_its_name_before_it_is_on_the_disk_nor_a_line_before_that(
     assert len(told) == 2 * POINTS + 2 * 4 + 4
 
 
-@pytest.mark.parametrize("at", [100, 399, 480])
+@pytest.mark.parametrize("at", [100, 480])
 def test_a_disk_that_fails_among_fast_steps_leaves_no_line_without_its_frames(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+    plan: Plan, steps: list[StepRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
     monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
     synced = count(1)  # by several threads
@@ -169,4 +180,4 @@ def test_a_disk_that_fails_among_fast_steps_leaves_no_line_without_its_frames(
     cut = Run.open(tmp_path / "cut")
     assert not find_damage(cut, whole=True).damaged
     assert not [path for path in (cut.path / "frames").iterdir() if path.name.endswith(".new")]
-    assert list(measure(plan, tmp_path / "cut", resume=True).steps()) == list(measure(plan, tmp_path / "whole").steps())
+    assert list(measure(plan, tmp_path / "cut", resume=True).steps()) == steps

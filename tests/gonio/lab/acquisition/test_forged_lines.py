@@ -55,7 +55,7 @@ def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def forged(event: Event) -> Iterator[tuple[str, Event]]:
     """An event with something else at one place; the values in turn, so that the places together see all."""
     for count, at in enumerate(places(event)):
-        for value in [VALUES[(5 * count + k) % len(VALUES)] for k in range(3)]:
+        for value in [VALUES[(5 * count + k) % len(VALUES)] for k in range(2)]:
             out = copy.deepcopy(event)
             inner: Any = out
             for key in at[:-1]:
@@ -102,7 +102,7 @@ def test_every_reader_names_a_forged_line_or_can_do_with_it(measured: Path, tmp_
     path.mkdir()
     for name in ("run.toml", "plan.csv", "gonio.sha256"):
         shutil.copy(measured / name, path)
-    lines = (measured / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    lines = (measured / "journal.jsonl").read_bytes().splitlines(keepends=True)[: 6 if number < 0 else 4]
     at = 3 if number < 0 else len(lines)
     event = json.loads(lines[3]) if number < 0 else {"n": at, **OTHERS[number], "wall": WALL}
     event.pop("crc", None)

@@ -38,7 +38,7 @@ def half_turned(about: mpmath.matrix, what: mpmath.matrix) -> mpmath.matrix:
     return (mpmath.eye(3) + mpmath.sin(mpmath.pi) * cross + 2 * cross * cross) * what
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.floats(0, 89), st.floats(0, 89), st.floats(-360, 360), st.sampled_from(["reflection", "transmission"]))
 def test_a_half_vector_becomes_the_direction_that_has_it(
     theta_i: float, theta_h: float, phi_h: float, side: str
@@ -77,6 +77,7 @@ def test_the_mirror_direction_stands_once_for_each_incidence(tmp_path: Path) -> 
     assert all(p.theta_r_deg < 90.0 for p in found.points)
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.floats(0.01, 5), st.floats(1, 80), st.integers(3, 60))
 def test_spacings_grow_away_from_the_start(start: float, way: float, count: int) -> None:
     stop = start + way

@@ -35,6 +35,7 @@ def test_lines_are_json_with_number_time_and_checksum(tmp_path: Path) -> None:
     assert all({"wall", "crc", "event"} <= set(json.loads(line)) for line in lines)
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.dictionaries(st.text(), st.floats(allow_nan=False, allow_infinity=False) | st.text() | st.none()))
 def test_numbers_and_text_come_back_exactly(values: dict[str, object]) -> None:
     event = {"n": 7, "values": values}

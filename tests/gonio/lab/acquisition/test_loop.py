@@ -55,16 +55,16 @@ def test_frames_are_those_that_the_journal_names(run: Run) -> None:
     assert level == pytest.approx(0.6, abs=0.05)  # photon noise of the brightest pixel in the metering frame
 
 
-def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(measure: Measure) -> None:
-    for step in measure("run").steps():
+def test_darks_are_dark_and_the_lamp_is_lit_for_the_rest(whole: list[StepRecord]) -> None:
+    for step in whole:
         assert {frame.lamp for frame in step.frames} == {step.kind != "dark"}
-    dark = measure("again").steps()[0]
+    dark = whole[0]
     assert len({frame.exposure_s for frame in dark.frames}) == 2
     assert len(dark.frames) == 4
 
 
-def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(measure: Measure) -> None:
-    dark, *others = measure("run").steps()
+def test_readbacks_before_and_after_the_frames_are_recorded_with_their_times(whole: list[StepRecord]) -> None:
+    dark, *others = whole
     assert some(dark.pose_time_s) >= dark.frames[-1].time_s
     for step in others:
         assert step.pose == step.pose_after == step.goal  # this rig has no errors
@@ -118,10 +118,9 @@ def test_a_pose_whose_readings_scatter_is_recorded_and_flagged(
     assert table["brdf"][table["flag"] == "unsteady"].isna().all()
 
 
-def test_one_seed_gives_one_run(measure: Measure) -> None:
-    first, again, other = measure("a"), measure("b"), measure("c", seed=2)
-    assert list(first.steps()) == list(again.steps())
-    assert list(first.steps()) != list(other.steps())
+def test_one_seed_gives_one_run(measure: Measure, whole: list[StepRecord]) -> None:
+    assert list(measure("again").steps()) == whole
+    assert list(measure("other", seed=2).steps()) != whole
 
 
 def metering_frames(step: StepRecord) -> int:
@@ -144,7 +143,7 @@ def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
     assert metering_frames(steps[4]) == 2
 
 
-@pytest.mark.parametrize("stops", [[1], [2], [5], [7], [1, 1, 2]])
+@pytest.mark.parametrize("stops", [[1], [5], [1, 1, 2]])
 def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[int], whole: list[StepRecord]) -> None:
     for number, after in enumerate(stops):
         rig = Plugin()
@@ -170,18 +169,20 @@ def test_a_second_signal_stops_every_axis_at_once(measure: Measure, whole: list[
     assert list(measure("run", resume=True).steps()) == whole
 
 
-def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(measure: Measure, tmp_path: Path) -> None:
-    whole = measure("whole")
-    expected, data = list(whole.steps()), (whole.path / "journal.jsonl").read_bytes()
+def test_killed_at_any_byte_of_the_journal_it_resumes_to_the_same(
+    run: Run, measure: Measure, whole: list[StepRecord]
+) -> None:
+    journal = run.path / "journal.jsonl"
+    data = journal.read_bytes()
     ends = [at + 1 for at, byte in enumerate(data) if byte == ord("\n")]
-    cuts = sorted({0, 1, *(end + d for end in ends for d in (-1, 0, 1)), *range(0, len(data), 1999)})
+    cuts = sorted({0, 1, *(end + d for end in (*ends[:4], *ends[-2:]) for d in (-1, 0, 1)), *range(0, len(data), 2999)})
     for cut in cuts:
-        (tmp_path / "whole" / "journal.jsonl").write_bytes(data[:cut])
+        journal.write_bytes(data[:cut])
         if cut < ends[0]:  # frames, and no journal
             with pytest.raises(DataError, match="gonio run repair"):
-                measure("whole", resume=True)
+                measure(resume=True)
             continue
-        assert list(measure("whole", resume=True).steps()) == expected
+        assert list(measure(resume=True).steps()) == whole
     assert len(cuts) > 20
 
 
@@ -241,12 +242,11 @@ def test_a_computer_s_clock_that_jumps_changes_nothing(
     ],
     ids=["never", "always the same", "backwards", "set back", "nan", "infinite", "none", "negative"],
 )
-@pytest.mark.parametrize("repeatable", [True, False])
 def test_frames_whose_times_do_not_grow_end_the_run(
-    measure: Measure, stamps: Callable[[float], float], words: str, repeatable: bool, monkeypatch: pytest.MonkeyPatch
+    measure: Measure, stamps: Callable[[float], float], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(NumpyRig, "time_s", lambda self: 100.0 * self.step + self.frame)
-    rig = Plugin(options={"stamps": stamps, "repeatable": repeatable})
+    rig = Plugin(options={"stamps": stamps, "repeatable": False})
     with pytest.raises(DeviceError, match=f'the camera of the rig "bench of numpy" .*{words}') as caught:
         measure("run", rig=rig, yes=True)
     assert "In the rig's driver, give each Frame the rig's time_s()" in str(caught.value)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gonio.errors import ConfigError
@@ -50,6 +50,7 @@ def test_the_same_directions_are_measured_once(tmp_path: Path) -> None:
     assert found.repeated == 11  # type: ignore[attr-defined]
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.integers(-900, 0), st.integers(1, 100), st.integers(0, 500))
 def test_ranges_hold_both_ends_without_drift(start: int, step: int, count: int) -> None:
     values = Range(start=start / 10, stop=(start + step * count) / 10, step=step / 10).values()

@@ -27,8 +27,7 @@ theta_r_deg = [-60, -10, 30, 60]
 OUT_OF_PLANE = PLAN + "dphi_deg = [45, 180]\n"
 
 
-@pytest.mark.parametrize("text", [PLAN, OUT_OF_PLANE])
-@pytest.mark.parametrize("azimuth", [False, True])
+@pytest.mark.parametrize(("text", "azimuth"), [(PLAN, True), (OUT_OF_PLANE, False)])
 def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: Path, text: str, azimuth: bool) -> None:
     plan = plan_in(tmp_path, text)
     rig = describe(

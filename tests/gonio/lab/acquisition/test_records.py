@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gonio.errors import DataError
@@ -57,6 +57,7 @@ def records(draw: st.DrawFn) -> StepRecord:
     )  # fmt: skip
 
 
+@settings(max_examples=40, deadline=None)
 @given(records())
 def test_a_step_comes_back_from_its_json(record: StepRecord) -> None:
     written = json.dumps(record.to_json())
@@ -64,6 +65,7 @@ def test_a_step_comes_back_from_its_json(record: StepRecord) -> None:
     assert json.dumps(StepRecord.from_json(json.loads(written)).to_json()) == written
 
 
+@settings(max_examples=40, deadline=None)
 @given(text, frames, poses, records(), st.booleans())
 def test_a_label_comes_back_from_its_json(
     run: str, frame: FrameRecord, pose: Pose, step: StepRecord, last: bool
@@ -75,6 +77,7 @@ def test_a_label_comes_back_from_its_json(
         assert FrameLabel.from_json(json.loads(json.dumps(label.to_json()))) == label
 
 
+@settings(max_examples=40, deadline=None)
 @given(records(), st.lists(st.builds(FrameFile, text, st.integers(0, 2**40)), max_size=3))
 def test_the_text_is_that_of_an_encoder_of_json(record: StepRecord, files: list[FrameFile]) -> None:
     told = record.stored(files[: len(record.frames)]).text()

@@ -1,6 +1,7 @@
 """The reduction of a run of which something was lost: the rest counts."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from gonio.errors import DataError
@@ -11,8 +12,8 @@ from tests.gonio.lab.acquisition.test_repair import lose
 
 
 @pytest.mark.parametrize("how", ["missing", "truncated", "changed"])
-def test_reduction_leaves_out_what_is_damaged(run: Run, how: str) -> None:
-    before = brdf.reduce(run)
+def test_reduction_leaves_out_what_is_damaged(run: Run, how: str, table: pd.DataFrame) -> None:
+    before = table
     step = run.steps()[3]
     lose(run.frame_path(step.frames[0].file), how)  # of the first band
     table = brdf.reduce(run)
@@ -28,8 +29,8 @@ def test_reduction_leaves_out_what_is_damaged(run: Run, how: str) -> None:
 
 
 @pytest.mark.parametrize("number", [1, 5, 8])
-def test_reduction_goes_on_without_a_visit_to_the_reference(run: Run, number: int) -> None:
-    before = brdf.reduce(run)
+def test_reduction_goes_on_without_a_visit_to_the_reference(run: Run, number: int, table: pd.DataFrame) -> None:
+    before = table
     for frame in run.steps()[number].frames:
         lose(run.frame_path(frame.file), "changed")
     table = brdf.reduce(run)
@@ -40,10 +41,10 @@ def test_reduction_goes_on_without_a_visit_to_the_reference(run: Run, number: in
     assert any("4 frames are missing or damaged" in note for note in table.attrs["notes"])
 
 
-def test_reduction_goes_on_with_the_dark_frames_that_are_left(run: Run) -> None:
-    before, dark = brdf.reduce(run), run.steps()[0].frames
+def test_reduction_goes_on_with_the_dark_frames_that_are_left(run: Run, table: pd.DataFrame) -> None:
+    dark = run.steps()[0].frames
     lose(run.frame_path(dark[0].file), "missing")
-    assert list(brdf.reduce(run)["flag"]) == list(before["flag"])
+    assert list(brdf.reduce(run)["flag"]) == list(table["flag"])
     lose(run.frame_path(dark[1].file), "missing")  # one exposure is left
     assert any("dark frames of one exposure" in note for note in brdf.reduce(run).attrs["notes"])
     for frame in dark[2:]:

@@ -19,8 +19,8 @@ from tests.gonio.lab.acquisition.conftest import Measure
 from tests.gonio.numpy_rig import SAMPLE, NumpyRig, Plugin, StopAfter, describe
 
 
-def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:
-    before = (measure("run").path / "journal.jsonl").read_bytes()
+def test_a_run_that_has_begun_needs_resume(run: Run, measure: Measure) -> None:
+    before = (run.path / "journal.jsonl").read_bytes()
     with pytest.raises(ConfigError, match="--resume"):
         measure("run")
     assert (measure("run", resume=True).path / "journal.jsonl").read_bytes() == before
@@ -29,9 +29,9 @@ def test_a_run_that_has_begun_needs_resume(measure: Measure) -> None:
 @pytest.mark.parametrize("journal", [None, b"", b'{"n":0,"event":"ses'])
 @pytest.mark.parametrize("resume", [True, False])
 def test_without_a_whole_line_it_starts_anew(
-    measure: Measure, journal: bytes | None, resume: bool, whole: list[StepRecord]
+    run: Run, measure: Measure, journal: bytes | None, resume: bool, whole: list[StepRecord]
 ) -> None:
-    out = measure("run").path  # and its process died before it took a frame
+    out = run.path  # and its process died before it took a frame
     for frame in (out / "frames").iterdir():
         frame.unlink()
     (out / "journal.jsonl").unlink()
@@ -51,9 +51,8 @@ def test_without_a_whole_line_it_starts_anew(
     ids=["seed", "sample", "rig", "plan"],
 )
 def test_what_differs_is_named(
-    measure: Measure, plan: Plan, changes: dict[str, object], word: str, tmp_path: Path
+    run: Run, measure: Measure, plan: Plan, changes: dict[str, object], word: str, tmp_path: Path
 ) -> None:
-    measure("run")
     if "plan" in changes:
         changes = {"plan": replace(plan, points=plan.points[:-1])}
     before = (tmp_path / "run" / "journal.jsonl").read_bytes()
@@ -76,14 +75,14 @@ def test_nothing_is_left_of_a_run_that_cannot_be_made(
 
 @pytest.mark.parametrize("name", ["plan.csv", "run.toml"])
 def test_a_process_that_died_while_it_made_the_folder_is_no_obstacle(
-    measure: Measure, tmp_path: Path, name: str
+    measure: Measure, tmp_path: Path, name: str, whole: list[StepRecord]
 ) -> None:
     (tmp_path / "run" / "frames").mkdir(parents=True)
     (tmp_path / "run" / "journal.jsonl").touch()
     (tmp_path / "run" / f".{name}.4711.new").write_text("half")
     run = measure()
     assert not (run.path / f".{name}.4711.new").exists()
-    assert len(run.steps()) == len(measure("other").steps())
+    assert list(run.steps()) == whole
 
 
 def test_a_folder_of_other_things_is_left_alone(measure: Measure, tmp_path: Path) -> None:
@@ -152,19 +151,6 @@ def test_a_patch_counts_in_the_poses_that_are_used(plan: Plan) -> None:
                 choice.schedule(plan)
 
 
-def test_a_camera_s_own_file_is_kept_as_it_is(
-    measure: Measure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    own = tmp_path / "IMG_0001.CR2"
-    own.write_bytes(b"the camera's own bytes")
-    capture = NumpyRig.capture
-    monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
-    run = measure("run")
-    assert run.steps()[0].frames[0].file == "000000-dark-01.cr2"
-    assert run.frame_path("000000-dark-01.cr2").read_bytes() == own.read_bytes()
-    assert own.exists()
-
-
 def test_the_reference_s_table_travels_with_the_run(measure: Measure, tmp_path: Path) -> None:
     table = tmp_path / "spectralon.csv"
     table.write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n")
@@ -192,8 +178,8 @@ def test_the_reference_s_table_travels_with_the_run(measure: Measure, tmp_path: 
         ("plan.csv", None, DataError),
     ],
 )
-def test_a_damaged_run_is_said_to_be(measure: Measure, name: str, damage: bytes | None, kind: type[GonioError]) -> None:
-    path = measure("run").path
+def test_a_damaged_run_is_said_to_be(run: Run, name: str, damage: bytes | None, kind: type[GonioError]) -> None:
+    path = run.path
     if damage is None:
         (path / name).unlink()
     else:

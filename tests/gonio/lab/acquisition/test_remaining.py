@@ -1,5 +1,6 @@
 """The time that is left of a run: learnt from steps whose true times are drawn, and compared with what comes then."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from tests.gonio.numpy_rig import BANDS, SAMPLE, Plugin, StopAfter, describe, me
 
 RIG = describe(reference=Reference(every=20, frames=4))
 DURATIONS = Durations(RIG, BANDS[:1])
+parts_of = functools.cache(DURATIONS.step)
 
 
 def steps_of(count: int) -> list[Step]:
@@ -37,7 +39,7 @@ def records(
     rng, now, here = np.random.default_rng(seed), 1000.0, Pose()
     out, took = [], []
     for step in steps:
-        parts, noise = DURATIONS.step(here, step), np.exp(scatter * rng.standard_normal(2))
+        parts, noise = parts_of(here, step), np.exp(scatter * rng.standard_normal(2))
         begun = now
         pose_s = now = now + travel * parts.travel_s * float(noise[0])
         shot = FrameRecord("f", "b", 0.0, now, True)

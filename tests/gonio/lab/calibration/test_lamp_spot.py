@@ -39,9 +39,10 @@ def image(column: float, row: float, brightness: float) -> Floats:
     return np.asarray(np.minimum(0.04 + brightness * seen, 1.0) + noise)
 
 
-@pytest.mark.parametrize(("column", "row"), [(63.5, 47.5), (20.3, 80.6), (100.2, 15.1)])
+@pytest.mark.parametrize(("column", "row", "part"), [
+    (63.5, 47.5, "whole"), (20.3, 80.6, "left"), (100.2, 15.1, "edge"), (100.2, 15.1, "whole"),
+])  # fmt: skip
 @pytest.mark.parametrize("brightness", [0.5, 3.0])
-@pytest.mark.parametrize("part", ["whole", "left", "edge"])
 def test_the_middle_is_found_from_the_whole_disc_or_a_part_of_its_edge(
     column: float, row: float, brightness: float, part: str
 ) -> None:

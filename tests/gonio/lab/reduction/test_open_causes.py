@@ -10,7 +10,7 @@ import pytest
 from gonio_maps.reduction.map_grid import grid
 
 from gonio.lab.reduction import light_and_lens
-from gonio.lab.reduction.count_rates import _around, _lines, _widened
+from gonio.lab.reduction.count_rates import _around, _widened
 from gonio.lab.reduction.dark_signal import Darks
 from gonio.lab.reduction.geometry_errors import GeometryErrors, zero_u_deg
 from gonio.lab.reduction.light_and_lens import BEAM
@@ -127,11 +127,6 @@ def test_a_cell_of_a_map_is_a_pixel_or_a_bayer_cell_in_the_plane_in_focus(patter
 
 
 def test_dark_lines_and_the_places_that_they_are_known_at() -> None:
-    means = [(0.1, [102.0, 201.0]), (0.1, [102.0, 203.0]), (2.1, [142.0, 206.0])]
-    lines = _lines(means, ("R", "G"), 7.0)
-    assert lines["R"] == pytest.approx((100.0, 20.0))
-    assert lines["G"] == pytest.approx((201.8, 2.0))
-    assert _lines(means[:2], ("R", "G"), 7.0)["G"] == pytest.approx((201.3, 7.0)), "one exposure: the data sheet's"
     frames = [(t, np.full((4, 5), 100.0 + 20.0 * t) + np.arange(5) * t) for t in (0.1, 2.1)]
     darks = Darks(frames, slice(10, 14), slice(20, 25), 7.0)
     region = Roi(slice(11, 13), slice(22, 25), np.array([[True, False, True], [False, False, True]]))

@@ -153,7 +153,7 @@ def test_a_body_is_a_capsule_or_a_box(keys: tuple[str, ...], sound: bool) -> Non
 
 
 def test_a_cable_lies_between_two_parts() -> None:
-    with pytest.raises(ValidationError, match="both ends are on"):
+    with pytest.raises(ValidationError, match='cable "usb": both ends are on "tilt"'):
         Cable(name="usb", from_on="tilt", from_mm=(0, 0, 0), to_on="tilt", to_mm=(0, 0, 1), length_mm=5.0)
 
 

@@ -23,7 +23,7 @@ def noise(bits: int, shape: tuple[int, int] = (480, 640), seed: int = 0) -> npt.
     return mosaic
 
 
-@pytest.mark.parametrize("shape", [(480, 640), (32, 32), (33, 35), (47, 64), (64, 101)])
+@pytest.mark.parametrize("shape", [(480, 640), (32, 32), (33, 35)])
 @pytest.mark.parametrize("bits", WHITE)
 @pytest.mark.parametrize("pattern", ["mono", *BAYER])
 def test_every_layout_depth_and_size_comes_back_bit_for_bit(

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from gonio import geometry
@@ -14,8 +14,7 @@ from gonio.geometry import Directions
 from gonio.lab.rig import Pose
 from gonio.lab.rig.description import ArmAxis, Arms, Geometry, Holder
 from gonio.lab.rig.inverse_kinematics import Unreachable, branches, reach
-from gonio.lab.rig.kinematics import blocked_cone, directions, left_its_side, separation, view
-from tests.gonio.lab.rig.plain_rig import rotation
+from gonio.lab.rig.kinematics import blocked_cone, directions, left_its_side, separation
 from tests.gonio.numpy_rig import describe
 
 DEG = math.pi / 180
@@ -42,22 +41,8 @@ def apart(a: Directions, b: Directions) -> float:
     return max(math.dist(geometry.direction(*one), geometry.direction(*two)) for one, two in pairs)
 
 
-@given(st.builds(Pose, *[st.floats(-3, 3)] * 5))
-def test_view_agrees_with_rotation_matrices(pose: Pose) -> None:
-    z = np.array([0.0, 0.0, 1.0])
-    # the arms turn about y, the azimuth about z; the sample is tilted about x toward +y and spun about its normal
-    light = rotation("y", pose.light) @ z
-    arm = rotation("z", pose.azimuth) @ rotation("y", pose.camera)
-    to_sample = (rotation("x", -pose.tilt) @ rotation("z", pose.spin)).T
-    seen = view(FULL, pose)
-    atol = 1e-12  # mm, out of 1000 mm: a few roundings
-    np.testing.assert_allclose(seen.source_mm, 1000 * to_sample @ light, atol=atol * 1000)
-    np.testing.assert_allclose(seen.camera_mm, 700 * to_sample @ arm @ z, atol=atol * 1000)
-    np.testing.assert_allclose(seen.image_y, to_sample @ arm @ [0, 1, 0], atol=atol)
-    np.testing.assert_allclose(np.cross(seen.image_x, seen.image_y), -seen.camera_mm / 700, atol=atol)
-
-
 @pytest.mark.parametrize("rig", [FULL, AZIMUTH], ids=["tilt and spin", "azimuth and spin"])
+@settings(max_examples=50, deadline=None)
 @given(thetas, phis, thetas, phis)
 @example(0.0, 0.0, 0.0, 0.0)
 @example(0.0, 1.0, 0.0, 3.0)
@@ -73,6 +58,7 @@ def test_round_trip(rig: object, theta_i: float, phi_i: float, theta_r: float, p
 
 
 @pytest.mark.parametrize("rig", [FULL, AZIMUTH], ids=["tilt and spin", "azimuth and spin"])
+@settings(max_examples=50, deadline=None)
 @given(st.floats(0.01, math.pi / 2 - 0.01), phis, near, near, st.integers(0, 14))
 def test_round_trip_next_to_retro(
     rig: object, theta: float, phi: float, d_theta: float, d_phi: float, power: int
@@ -82,6 +68,7 @@ def test_round_trip_next_to_retro(
     assert apart(asked, directions(rig, reach(rig, asked))) <= ROUND_TRIP  # type: ignore[arg-type]
 
 
+@settings(max_examples=50, deadline=None)
 @given(thetas, phis, thetas, st.floats(-math.pi, math.pi))
 @example(0.0, 0.0, 1e-9, 1.0)
 def test_a_still_sample_is_seen_from_all_around(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
@@ -91,6 +78,7 @@ def test_a_still_sample_is_seen_from_all_around(theta_i: float, phi_i: float, th
     assert apart(asked, directions(STILL, pose)) <= ROUND_TRIP
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.floats(-89, 89), st.floats(-89, 89))
 def test_arms_alone_scan_the_plane_of_incidence(light_deg: float, camera_deg: float) -> None:
     pose = reach(FLAT, directions(FLAT, Pose(light=light_deg * DEG, camera=camera_deg * DEG)))
@@ -160,6 +148,7 @@ def test_blocked_cone_of_two_bodies_at_300_mm() -> None:
     assert blocked == [-40, -35, -30, -25, -20]
 
 
+@settings(max_examples=50, deadline=None)
 @given(thetas, phis, thetas, phis)
 def test_separation_agrees_with_the_law_of_cosines(theta_i: float, phi_i: float, theta_r: float, phi_r: float) -> None:
     d = Directions(theta_i, phi_i, theta_r, phi_r)
@@ -187,6 +176,7 @@ BEHIND = describe(
 )
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.floats(0.02, 1.5), phis, st.floats(1.62, 3.12), phis)
 def test_a_camera_behind_the_sample_sees_from_where_it_was_asked(
     theta_i: float, phi_i: float, theta_r: float, phi_r: float

@@ -218,10 +218,6 @@ def test_a_cable_is_not_torn_and_nothing_runs_into_it() -> None:
     hanging = rig.model_copy(update={"cables": (lead.model_copy(update={"sag_mm": 200}),)})
     with pytest.raises(Blocked, match="camera head and lead"):
         motion_planning.require_free(hanging, deg(-60, -10))
-    same = lead.model_dump(mode="json", exclude_none=True) | {"from_on": "light"}
-    tables = rig.model_dump(mode="json", exclude_none=True) | {"cables": [same]}
-    with pytest.raises(ConfigError, match='cable "lead": both ends are on "light"'):
-        parse(RigDescription, tables, "rig.toml")
 
 
 def test_bodies_ride_on_the_axes_as_they_stand() -> None:
