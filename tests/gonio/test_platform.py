@@ -122,7 +122,11 @@ def test_a_child_has_a_group_of_its_own_where_there_are_no_sessions(monkeypatch:
     assert platform.detached() == {"start_new_session": True}
     monkeypatch.delattr(os, "setsid")
     monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0x200, raising=False)
+    monkeypatch.delattr(subprocess, "DETACHED_PROCESS", raising=False)
     assert platform.detached() == {"creationflags": 0x200}
+    # a console that closes does not take the guard along
+    monkeypatch.setattr(subprocess, "DETACHED_PROCESS", 0x8, raising=False)
+    assert platform.detached() == {"creationflags": 0x208}
 
 
 def test_a_process_that_has_ended_is_not_alive() -> None:
@@ -178,10 +182,3 @@ def test_a_process_is_found_by_its_command() -> None:
     with subprocess.Popen([sys.executable, "-c", "input()", "a-word-of-this-test"], stdin=subprocess.PIPE) as child:
         assert any(words[-1:] == ["a-word-of-this-test"] for words in platform.command_lines())
         child.kill()
-
-
-def test_a_console_that_closes_does_not_take_the_guard_along(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(os, "setsid")
-    monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0x200, raising=False)
-    monkeypatch.setattr(subprocess, "DETACHED_PROCESS", 0x8, raising=False)
-    assert platform.detached() == {"creationflags": 0x208}

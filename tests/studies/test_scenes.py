@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,6 @@ from gonio_scenes.render import render
 from gonio_validation.bench import timing
 from typer.testing import CliRunner
 
-from gonio.formats.rgl import RglMeasured
-from gonio.geometry import angles
 from gonio.typing import Floats
 from tests.gonio_scenes.scenes import scene
 from tools.studies import mitsuba_pictures, scenes
@@ -166,29 +163,3 @@ def test_mitsuba_agrees_within_three_standard_errors(case: str, tmp_path: Path) 
     score = apart(made, mitsuba.export(made), tmp_path)
     # 36 tiles: one in ten such pictures has one beyond three by chance, and these seeds have none
     assert np.abs(score).max() < 3.0
-
-
-class _Sliced:
-    """A material that is what a file of slices holds."""
-
-    has_spike, constant = False, True
-
-    def __init__(self, measured: RglMeasured) -> None:
-        self.measured = measured
-
-    def brdf(self, omega_i: Floats, omega_r: Floats, uv: Floats) -> Floats:
-        values, _ = self.measured.brdf(*angles(omega_r), *angles(omega_i))  # Mitsuba's incident side is the viewer's
-        return values[:, :1]
-
-
-@installed
-@pytest.mark.parametrize("material", ["He-Torrance, rough aluminium", "Cook-Torrance"])
-def test_mitsuba_agrees_on_the_same_slices_and_slices_on_the_model(material: str, tmp_path: Path) -> None:
-    """The error of the slices is told from that of the geometry: both renderers take the same table first."""
-    tables = {"m": scenes.MATERIALS[material], "floor": scenes.FLOOR}
-    made = scene(camera=CAMERA, material=tables, shape=[FLOOR, BALL], light=[scenes.LAMP, scenes.SUN], mirror_depth=0)
-    coarse = mitsuba.export(made, nodes=32, incidences=16)
-    sliced = _Sliced(RglMeasured(coarse.files["m.bsdf"], Path("m.bsdf")))
-    assert np.abs(apart(replace(made, material=(made.material[0], sliced)), coarse, tmp_path)).max() < 3.0  # type: ignore[arg-type]
-    # and the default numbers of nodes are fine enough not to be seen
-    assert np.abs(apart(made, mitsuba.export(made), tmp_path)).max() < 3.0

@@ -121,16 +121,6 @@ def test_round_trip_of_measured_matrices(shared: Callable[[str], Path], tmp_path
         pd.testing.assert_frame_equal(measurement.read(tmp_path / "back.xml"), frame, check_exact=True)
 
 
-def test_a_shade_obeys_helmholtz(shared: Callable[[str], Path]) -> None:
-    frame = measurement.read(shared("klems/aerc6216_kf.xml"))
-    frame = frame[frame["side"] == "reflection"]
-    swapped = frame.rename(columns=lambda c: c.replace("_i_", "_x_").replace("_r_", "_i_").replace("_x_", "_r_"))
-    both = frame.merge(swapped, on=["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg"], suffixes=("", "_swapped"))
-    # patches lie symmetric about phi + 180, so most pairs are there both ways; the file has four digits
-    assert len(both) > 20_000
-    np.testing.assert_allclose(both["brdf"], both["brdf_swapped"], atol=2e-4)
-
-
 def test_other_directions_cannot_be_a_klems_matrix(tmp_path: Path, small: pd.DataFrame) -> None:
     small["flag"] = ""
     with pytest.raises(DataError, match="145 patches"):

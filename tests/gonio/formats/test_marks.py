@@ -1,6 +1,5 @@
 """Which mark separates cells, and which one decimals: one of each in a file, and said where it is not plain."""
 
-import random
 from pathlib import Path
 
 import pytest
@@ -104,21 +103,6 @@ def test_the_mark_holds_over_the_pieces_of_a_large_file() -> None:
 def test_the_separator_is_the_mark_of_header_and_rows(text: str, mark: str) -> None:
     """Kind: a mark in a column's name that separates nothing."""
     assert separator(text) == mark
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_drawn_names_with_commas_are_read(seed: int) -> None:
-    """Kind: as above, with drawn names, by --columns."""
-    dice = random.Random(seed)
-    names = [f"c{k} ({dice.randrange(900)},{dice.randrange(9)})" if dice.random() < 0.4 else f"c{k}" for k in range(5)]
-    columns = own_columns.pairs(
-        ",".join(
-            f"{key}={name}" for key, name in zip(("theta_i", "phi_i", "theta_r", "phi_r", "brdf"), names, strict=True)
-        )
-    )
-    text = ";".join(names) + "\n" + "".join(f"30;0;{k};180;0,{k}7\n" for k in range(1, 6))
-    frame = measurement.parse(text.encode(), Path("a.csv"), columns=columns)
-    assert frame["brdf"].tolist() == [float(f"0.{k}7") for k in range(1, 6)]
 
 
 def test_decimal_commas_between_commas_shift_no_columns(tmp_path: Path) -> None:

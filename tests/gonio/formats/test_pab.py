@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -92,10 +91,3 @@ def test_transmission_alone_is_refused_and_a_header_alone_too() -> None:
 def test_it_is_told_from_the_content(survives: Callable[..., None]) -> None:
     assert of_content(ONE.encode(), Path("a.dat")).name == "pab"
     survives((ONE + SECOND).encode(), "a.dat", format="pab")
-
-
-def test_a_lambertian_sample_comes_out_flat() -> None:
-    theta = np.arange(0.0, 90.0, 7.5)
-    lines = "".join(f"{t} {p} {0.25 * math.cos(math.radians(t))!r}\n" for t in theta for p in (0.0, 45.0, 200.0))
-    frame = measurement.parse((HEAD + lines).encode(), Path("a.txt"))
-    np.testing.assert_allclose(frame["brdf"], 0.25, rtol=1e-15)  # a product and a quotient by one cosine

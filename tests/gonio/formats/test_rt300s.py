@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from gonio import measurement
@@ -131,11 +132,15 @@ def test_damaged_files(survives: Callable[..., None]) -> None:
     survives(workbook(SAMPLE, split=True), "nowhere/tile.xls", format="rt300s")
 
 
+@pytest.fixture(scope="module")
+def raw(shared: Callable[[str], Path]) -> pd.DataFrame:
+    return measurement.read(shared("loft_rt300s") / "raw" / "ANOPLATE_AnoBlack_EC1_Alum6061_v1o0_20251115.xls")
+
+
 @pytest.mark.parametrize("name", ["AnoBlackEC1onAlum.txt", "AnoBlackEC1onAlum_fullAz.txt"])
-def test_the_laboratorys_own_results(name: str, shared: Callable[[str], Path]) -> None:
+def test_the_laboratorys_own_results(name: str, raw: pd.DataFrame, shared: Callable[[str], Path]) -> None:
     """The laboratory published means of the two half-turns, without the zone around retro: all of them are found."""
-    folder = shared("loft_rt300s")
-    frame = measurement.read(folder / "raw" / "ANOPLATE_AnoBlack_EC1_Alum6061_v1o0_20251115.xls")
+    frame, folder = raw, shared("loft_rt300s")
     assert len(frame) == 2508
     ours = frame[frame["flag"] == ""].groupby(["theta_i_deg", "theta_r_deg", "phi_r_deg"])["brdf"].mean()
     along_normal = frame[frame["theta_r_deg"] == 0].groupby("theta_i_deg")["brdf"].mean()

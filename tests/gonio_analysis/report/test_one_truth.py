@@ -14,14 +14,11 @@ from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.value_covariance import independent
-from gonio_analysis.report import figures
-from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.model_tables import fitted_words
-from gonio_analysis.selection.compare import examine, jump, jumps
+from gonio_analysis.selection.compare import examine
 
 from gonio.errors import ConfigError
 from gonio.models import build
-from gonio.run_facts import RunFacts, SampleFacts
 from tests.command_line import some
 from tests.gonio_analysis.synthetic import facts_of, joined, measure
 
@@ -113,15 +110,6 @@ def test_a_table_without_a_wavelength_is_not_said_to_hold_a_broad_band() -> None
     assert not any("broad" in n.lower() for n in fit(frame, "he-torrance", ior=1.5, wavelength_nm=600).notes)
 
 
-def test_a_jump_between_neighbouring_wavelengths_is_named() -> None:
-    one = fit(measure(GLOSS, noise=0.01, wavelength_nm=500.0), "phong")
-    same = fit(measure(GLOSS, noise=0.01, wavelength_nm=510.0, seed=1), "phong")
-    other = fit(measure(build("phong", {"k_d": 0.3, "k_s": 0.4, "exponent": 400.0}), wavelength_nm=520.0), "phong")
-    assert (jump(one, same), jump(same, other)) == ([], ["exponent"])
-    (words,) = jumps([one, same, other])
-    assert words.startswith("From 510 to 520 nm exponent jumps from ")
-
-
 def test_a_series_that_starts_in_another_valley_is_brought_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """A neighbour's start that ends elsewhere, at the same cost, gives way to a search that does not jump."""
     parts = [measure(GLOSS, noise=0.01, wavelength_nm=nm, seed=int(nm)) for nm in (540.0, 550.0, 560.0)]
@@ -137,19 +125,6 @@ def test_a_series_that_starts_in_another_valley_is_brought_back(monkeypatch: pyt
     monkeypatch.setattr("gonio_analysis.selection.compare.fit", astray)
     series = examine(table, ["phong"], name="x", separate=True).fitted["phong"].series
     assert [round(r.parameters["exponent"].value, -1) for r in series] == [40.0] * 3
-
-
-def test_simulated_values_are_called_simulated() -> None:
-    sample = SampleFacts("x", "lambert", {"albedo": 0.5})
-    run = RunFacts(
-        "RUN", "plan", "", 1, {}, "", "", "sim", "sim", 1, [], 1, {}, 0.5, 0.5, "beside", sample
-    )  # fmt: skip
-    d = examine(measure(MATTE), ["lambert"], name="x", run=run)
-    found = summarise([d], title="x", normalise="mirror", command="")
-    assert found.title == "x (simulated)"
-    captions = [f.caption for f in figures.draw(d, found.datasets[0], 500)]
-    assert all("simulated measurement" in c for c in captions if c.startswith("lambert: "))
-    assert summarise([replace(d, run=None)], title="x", normalise="mirror", command="").title == "x"
 
 
 def test_options_reach_the_command(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:

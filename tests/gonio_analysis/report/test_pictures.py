@@ -1,6 +1,5 @@
 """The words of every kind of figure stand clear of each other, and curves are told apart without their colours."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -14,7 +13,7 @@ import pytest
 from gonio_analysis import report
 from gonio_analysis.changes.laboratories import compared
 from gonio_analysis.changes.point_by_point import change, of_table
-from gonio_analysis.curves.in_plane import Line, curves
+from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.plots import diagnostics, in_plane, maps, pixels, style
 from gonio_analysis.report import budget, change_figures, checks, drawing, health
 from gonio_analysis.report.drawing import Drawing, Figure
@@ -258,16 +257,3 @@ def test_colours_of_values_rise_evenly_in_lightness(name: str) -> None:
     # a step is at most twice the mean: jet, whose lightness falls twice, has negative ones
     assert (steps > 0).all()
     assert steps.max() < 2 * steps.mean()
-
-
-@pytest.mark.parametrize(("factor", "areas"), [(1.9, 1), (2.0, 0), (1e9, 0)])
-def test_a_band_of_a_factor_of_two_is_two_lines(factor: float, areas: int) -> None:
-    from matplotlib.figure import Figure as Canvas
-
-    angle = np.linspace(-1.0, 1.0, 9)
-    line = Line("x", angle, 1.0 + angle**2, angle, 1.0 + angle**2, 0.0 * angle, tau=math.log(factor))
-    polar, semilog = Canvas().subplots(1, 2)
-    in_plane.polar(polar, [line], radius=4.0)
-    in_plane.semilog(semilog, [line])
-    for ax in (polar, semilog):
-        assert sum(one.get_alpha() == style.BAND for one in (*ax.patches, *ax.collections)) == areas
