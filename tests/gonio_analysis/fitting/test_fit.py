@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.fitting.observations import observations
-from gonio_analysis.fitting.problem import FitRequest, pose
-from gonio_analysis.fitting.search import derivatives
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import build
@@ -86,30 +83,6 @@ def test_he_torrance_through_the_cones() -> None:
     )  # the ratio is known better than either
     assert r.parameters["k"].fixed
     assert r.parameters["k"].value == 6.08
-
-
-def test_jacobian_where_the_model_is_linear_in_the_parameter() -> None:
-    data = observations(measure(PAINT))
-    problem = pose(FitRequest("phong"))
-    got = derivatives(problem, data, problem.vector({"k_d": 0.4, "k_s": 0.6, "exponent": 20.0}))
-    one = build("phong", {"k_d": 1.0, "k_s": 0.0, "exponent": 20.0})
-    shine = build("phong", {"k_d": 0.0, "k_s": 1.0, "exponent": 20.0})
-    angles = data.directions.angles
-    # a step of 1e-4 over a difference of values near 1: the rounding of the models, 1e-16, gives 1e-12
-    np.testing.assert_allclose(got[:, 0], one.brdf(*angles), rtol=1e-9)
-    np.testing.assert_allclose(got[:, 1], shine.brdf(*angles), rtol=1e-9, atol=1e-10)
-    # d/d(ln p) of k_s H^p / (pi cos theta_i) = k_s H^p p ln H / (...), with H^20 from the shine itself
-    base = (
-        build("phong", {"k_d": 0.0, "k_s": 1.0, "exponent": 1.0}).brdf(*angles)
-        * math.pi
-        * np.cos(data.directions.theta_i)
-    )
-    base = np.clip(base, 0.0, 1.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        expected = np.where(base > 0, 0.6 * shine.brdf(*angles) * 20.0 * np.log(base), 0.0)
-    np.testing.assert_allclose(
-        got[:, 2], expected, rtol=1e-4, atol=1e-7
-    )  # central differences: (1e-4)^2 (p ln H)^2 / 6
 
 
 def test_without_uncertainties_there_is_no_chi_square() -> None:
@@ -195,12 +168,6 @@ def test_very_rough_metal_tells_only_the_slope_and_says_so() -> None:
     notes = " ".join(r.notes)
     assert "sigma0_um and tau_um can hardly be told apart" in notes
     assert "what they determine is sigma0_um/tau_um = 0.2" in notes
-
-
-def test_a_parameter_on_its_bound_is_said() -> None:
-    r = fit(measure(METAL, wavelength_nm=500, noise=0.002), "he-torrance", ior=0.77 + 6.08j)
-    e = r.parameters["diffuse_albedo"]
-    assert e.at_bound == "lower" or e.value < 4 * known(e.u)
 
 
 def test_json_has_the_agreed_keys_and_is_json() -> None:

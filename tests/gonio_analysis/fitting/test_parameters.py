@@ -4,28 +4,11 @@ from __future__ import annotations
 
 import pytest
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.observations import observations
 
 from gonio.errors import ConfigError
-from gonio.models import Lambert, build
-from tests.gonio_analysis.synthetic import measure
+from gonio.models import build
 
 NAMES = ("lambert", "oren-nayar", "phong", "blinn", "cook-torrance", "he-torrance")
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_starts_are_inside_the_bounds_and_free_parameters_are_known(name: str) -> None:
-    family = parameters.family(name)
-    assert family.name == name
-    starts = family.starts(parameters.levels(observations(measure(Lambert(0.5)))))
-    assert starts
-    for start in starts:
-        for parameter, value in start.items():
-            assert family.parameter(parameter).inside(value) == value
-    for parameter in (*family.free, *family.fixed):
-        one = family.parameter(parameter)
-        assert one.lower < one.upper
-        assert one.scale == "linear" or one.lower > 0
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -107,12 +107,3 @@ def test_what_is_wrong_with_a_stated_uncertainty_is_told(tmp_path: Path, changed
         load_sample(tmp_path / "sample.toml")
     assert told in str(error.value)
     assert "sample.toml" in str(error.value)
-
-
-def test_an_uncertainty_by_hand_is_propagated(tmp_path: Path) -> None:
-    stated = {"parameters": ["albedo"], "u": [0.01], "correlation": [[1.0]]}
-    text = tomli_w.dumps({"name": "a", "model": "lambert", "parameters": {"albedo": 0.5}, "uncertainty": stated})
-    (tmp_path / "sample.toml").write_text(text)
-    found = of(str(tmp_path / "sample.toml"))
-    assert known(found.rho_dh_8.u) == pytest.approx(0.01, rel=1e-6)  # the albedo itself, by quadrature to 1e-6
-    assert known(found.radiance_factor_45_0.u) == pytest.approx(0.01, rel=1e-9)  # rounding

@@ -30,25 +30,6 @@ def interval(low: float, high: float, *, open_low: bool = False, open_high: bool
     return Interval("s", low, high, open_low, open_high, 0.95, np.array([low, high]), np.array([4.0, 4.0]))
 
 
-@pytest.mark.parametrize(
-    ("ends", "u", "linear"),
-    [
-        ((0.073, 0.104), 0.48, False),  # s = 0.09 +- 0.48 beside 0.073 to 0.104
-        ((0.08, 0.10), 0.005, True),  # 1.96 u on either side, nearly
-        ((0.0899, 0.15), 0.005, False),  # crooked
-        ((0.08, 0.10), None, False),
-    ],
-)
-def test_a_standard_error_that_contradicts_the_interval(
-    ends: tuple[float, float], u: float | None, linear: bool
-) -> None:
-    assert interval(*ends).linear(0.09, u) is linear
-
-
-def test_a_bound_cuts_an_interval_and_contradicts_nothing() -> None:
-    assert interval(0.0, 0.19, open_low=True).linear(0.09, 0.05)
-
-
 def test_the_page_shows_the_interval_alone_where_linearisation_fails() -> None:
     facts = facts_of(examine(measure(GLOSS, noise=0.01), ["phong"], name="x"))
     wrong = replace(facts.choice.intervals["k_s"], low=0.01, high=9.0)
