@@ -24,7 +24,6 @@ from tests.command_line import says
 from tests.gonio.numpy_rig import measured, plan_in
 
 Measure = Callable[..., Run]
-LONG = "x" * 300
 SOMEBODYS = hashlib.sha256(b"somebody's").hexdigest()
 
 

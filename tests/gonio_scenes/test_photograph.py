@@ -27,7 +27,6 @@ from gonio.typing import Floats
 from tests.gonio_scenes.scenes import scene
 from tools.studies import photograph_campaign
 
-ROOT = Path(__file__).parents[2]
 CAMERA: dict[str, Any] = {
     "position_mm": [0.0, 0.0, 800.0],
     "look_at_mm": [0.0, 0.0, 0.0],

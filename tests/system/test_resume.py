@@ -84,19 +84,6 @@ def test_killed_run_resumes_to_the_same_table(gonio: Command, here: Command, fil
     assert (whole["flag"] == cut["flag"]).all()
 
 
-ADAPTIVE = """
-name = "chosen"
-wavelength_nm = [550]
-[adaptive]
-how = "parameters"
-budget_h = 0.06
-model = "lambert"
-u_rel = { albedo = 1e-4 }
-theta_i_deg = [20, 50]
-theta_r_deg = [-60, -30, 0, 10, 35, 65]
-"""
-
-
 @pytest.mark.slow
 def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) -> None:
     assert kill_after(files, "run", 3, signal.SIGINT) == 130

@@ -24,7 +24,6 @@ PLAIN = """theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,wavelength_nm,brdf,u_brdf
 10,180,20,0,550,0.25,0.01
 10,180,70,0,550,0.5,0.02
 """
-MAIN = "http:" + "//schemas.openxmlformats.org/spreadsheetml/2006/main"
 SPEC = "theta_i=ti:rad,phi_i=pi,theta_r=tr:deg,phi_r=pr:rad,wavelength=wl:um,brdf=R:factor,u_brdf=U:factor"
 
 
