@@ -18,6 +18,8 @@ from gonio.typing import ArrayLike, Bools, DataFrame, Floats, Ints
 
 TWO_PI = 2.0 * np.pi
 ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
+ANGLES_DEG = tuple(f"{name}_deg" for name in ANGLES)
+"""Their columns in tables and plans."""
 
 # When angles agree, from rounding to what a person calls one direction: the one table of angular tolerances [rad].
 PARALLEL = 1e-14

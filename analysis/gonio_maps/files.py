@@ -26,6 +26,7 @@ import numpy as np
 from gonio import hdf5, platform, seals
 from gonio.disk import half_written, require_name, sha256_of, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as
+from gonio.geometry import ANGLES_DEG
 from gonio.hdf5 import MAP_FORMAT, is_map
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
@@ -41,12 +42,11 @@ FLAGS = ("outside", "saturated", "hot", "shadowed", "blurred")
 """Why a value must not be used, by bits of `flag` from the lowest."""
 FIT_FLAGS = ("too_few", "at_bound", "undetermined", "rejected")
 """What is said of a fitted pixel, by bits of `flag` from the lowest."""
-ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 
 _STATED = {
     **{"x": "mm", "y": "mm", "source_mm": "mm", "camera_mm": "mm", "wavelength_nm": "nm"},
     **{"brdf": "1/sr", "u_random": "1/sr"},
-    **dict.fromkeys(ANGLES, "deg"),
+    **dict.fromkeys(ANGLES_DEG, "deg"),
 }
 """Units that maps are in: a file that states others is refused."""
 
@@ -352,7 +352,7 @@ class MapFile:
                 raise DataError(f"{self.path}: {name} is no list of places on the sample in mm")
         if "brdf" in self.names:
             count = self._variable("brdf").shape[-1]
-            for name in (*ANGLES, "wavelength_nm", "source_mm", "camera_mm"):
+            for name in (*ANGLES_DEG, "wavelength_nm", "source_mm", "camera_mm"):
                 if len(found := self.array(name)) != count or not np.isfinite(found).all():
                     raise DataError(f"{self.path}: {name} has no finite value for each of the {count} points of brdf")
 
@@ -465,7 +465,7 @@ class MapFile:
         tile = Tile(slice(row, row + 1), slice(col, col + 1))
         brdf, u = (self.array(name, tile)[0, 0].astype(float) for name in ("brdf", "u_random"))
         flags = [",".join(f for k, f in enumerate(FLAGS) if bits >> k & 1) for bits in self.array("flag", tile)[0, 0]]
-        columns: dict[str, Any] = dict(zip(ANGLES, np.degrees(np.array(at.angles)), strict=True))
+        columns: dict[str, Any] = dict(zip(ANGLES_DEG, np.degrees(np.array(at.angles)), strict=True))
         columns |= {"wavelength_nm": self.array("wavelength_nm"), "polarisation": "unpolarised", "brdf": brdf}
         common = {name: relative * brdf for name, relative in self.causes.items()}
         total = np.sqrt(u**2 + sum((change**2 for change in common.values()), np.zeros(len(brdf))))

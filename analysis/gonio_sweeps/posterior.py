@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gonio.checks.values import NORMAL_95
 from gonio.geometry import Directions, direction
 from gonio.models.gaussian_process import (
     ENOUGH,
@@ -30,7 +31,6 @@ FAINT = 10.0
 FEWEST = 3
 SLOPE_STEP = float(np.radians(0.05))
 """Step over which slopes are taken [rad]: an encoder's half step or so."""
-K95 = 1.959964
 SEARCHES = 3
 """For the kernel's parameters, where lobe and base are summands: each begins where the last one left these."""
 STEPS, SETTLED = 40, 0.1
@@ -404,7 +404,7 @@ class Posterior:
         z = self.link.z(f)
         # no BRDF is below zero: where the process is, it is wrong by that at least
         sd = np.maximum(np.sqrt(variance) * gain * self.misfit, -z)
-        low, high = (self.link.brdf(z + k * sd) for k in (-K95, K95))
+        low, high = (self.link.brdf(z + k * sd) for k in (-NORMAL_95, NORMAL_95))
         return np.maximum(f, 0.0), sd / self.link.slope(f), low, high
 
     def _mean(self, process: Process, d: Directions) -> tuple[Floats, Floats, Floats | None]:

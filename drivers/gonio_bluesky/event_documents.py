@@ -46,8 +46,8 @@ from typing import Any, cast
 import numpy as np
 
 from gonio.disk import is_own, read_file, read_manifest
+from gonio.geometry import ANGLES_DEG
 from gonio.lab.acquisition.journal import Event
-from gonio.lab.acquisition.plan import ANGLES
 from gonio.lab.acquisition.run import TABLE, Run
 from gonio.lab.rig.dng import read_raw
 from gonio.typing import JsonObject, NDArray
@@ -206,10 +206,10 @@ class _Documents:
             "plan_sha256": header.plan_sha256,
             "wavelength_nm": list(header.wavelength_nm),
             "bands": list(header.bands),
-            "motors": list(ANGLES),
+            "motors": list(ANGLES_DEG),
             "detectors": ["camera"],
             "num_points": sum(1 for flag in self._run.points.flags if not flag),
-            "hints": {"dimensions": [[[name], "primary"] for name in ANGLES]},
+            "hints": {"dimensions": [[[name], "primary"] for name in ANGLES_DEG]},
             "rig": {"name": settings.rig.name, "driver": header.rig},
             "simulated": sample is not None,
             "seed": header.seed,
@@ -342,7 +342,7 @@ class _Documents:
         out: dict[str, Column] = {"step": (_integer("journal"), itemgetter("step"))}
         if name == "primary":
             out["point"] = _integer("plan"), itemgetter("point")
-            for k, angle in enumerate(ANGLES):
+            for k, angle in enumerate(ANGLES_DEG):
                 out[angle] = _number("plan", "deg"), partial(self._angle_deg, k)
         for axis in self._axes:
             out[f"{axis}_deg"] = _number("journal", "deg"), partial(_axis_deg, axis)
@@ -401,7 +401,7 @@ class _Documents:
             self._remarks.append(f"{path}: was changed after it was written, and is left out (no stream `reduced`)")
             return
         frame = measurement.read(path)
-        units = dict.fromkeys(ANGLES, "deg") | {"wavelength_nm": "nm", "brdf": "1/sr", "u_brdf": "1/sr"}
+        units = dict.fromkeys(ANGLES_DEG, "deg") | {"wavelength_nm": "nm", "brdf": "1/sr", "u_brdf": "1/sr"}
         units |= {name: "1/sr" for name in frame.columns if name in ("u_random", "u_angles") or name.startswith("s_")}
         keys = {
             name: _number("table", units.get(name, "")) if frame[name].dtype.kind in "fiu" else _text("table")

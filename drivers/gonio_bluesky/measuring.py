@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from gonio.errors import ConfigError, Interrupted
+from gonio.geometry import ANGLES
 from gonio.lab.acquisition import measure
 from gonio.lab.acquisition.plan import Plan, Point, canonical, load_plan
 from gonio.lab.acquisition.run import Run
@@ -30,7 +31,6 @@ from gonio.samples.description import SampleDescription
 from gonio.typing import JsonObject
 from gonio_bluesky.devices import Plotted, Reading, Setting, Status, number
 
-DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 DIGITS = 7
 """Decimals in which angles [deg] agree that count as one, as in a plan (`gonio.lab.acquisition.plan.SAME_DEG`)."""
 
@@ -102,7 +102,7 @@ class Measurement:
 
     def __init__(self, plan: Plan, choice: measure.RigChoice, out: Path, given: JsonObject) -> None:
         self._plan, self._choice, self._out, self._given = plan, choice, out, given
-        self.theta_i, self.phi_i, self.theta_r, self.phi_r = (Direction(self, name) for name in DIRECTIONS)
+        self.theta_i, self.phi_i, self.theta_r, self.phi_r = (Direction(self, name) for name in ANGLES)
         self.camera = StepCamera(self)
         steps = choice.schedule(plan)
         self._scheduled = len(steps)
@@ -130,7 +130,7 @@ class Measurement:
         """
         rest = [row for row in range(len(self._plan.points)) if row not in self._measurable]
         listed = [self._plan.points[row] for row in [*self._order, *rest]]
-        angles = [[getattr(point, f"{name}_deg") for point in listed] for name in DIRECTIONS]
+        angles = [[getattr(point, f"{name}_deg") for point in listed] for name in ANGLES]
         return [part for pair in zip(self.directions, angles, strict=True) for part in pair]
 
     @property
@@ -178,7 +178,7 @@ class Measurement:
 
     @staticmethod
     def _said(point: Point) -> str:
-        return ", ".join(f"{name} = {getattr(point, f'{name}_deg'):g}" for name in DIRECTIONS) + " deg"
+        return ", ".join(f"{name} = {getattr(point, f'{name}_deg'):g}" for name in ANGLES) + " deg"
 
     def _note(self, row: int | None) -> None:
         seen = self._gate.seen if row is not None and row == self._gate.row else _Seen()

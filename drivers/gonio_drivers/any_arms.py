@@ -3,15 +3,15 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Generic, NoReturn, TypeVar
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.lab.rig import Health, Pose, motion_planning
 from gonio.lab.rig.description import Axis, RigDescription
+from gonio.lab.rig.kinematics import AXES
 from gonio_drivers import log
 
-AXES = tuple(field.name for field in fields(Pose))
 ROUNDING_DEG = 1e-6
 STOPS_DEG = 2.0
 """What the reading of an axis that leans against a hard stop may lie beyond it."""

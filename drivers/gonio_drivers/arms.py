@@ -19,8 +19,9 @@ from dynamixel_sdk import INST_PING
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError
 from gonio.lab.rig import Health, Pose, Reading, Target, clock
 from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.kinematics import AXES
 from gonio_drivers import control_table, dynamixel, home_mark, joints, log, preparation, settings, signals, watchdog
-from gonio_drivers.any_arms import AXES, AllAxes, ArmsReading
+from gonio_drivers.any_arms import AllAxes, ArmsReading
 from gonio_drivers.motion import LARGEST_CORRECTION_DEG, STILL_COUNTS, Motion
 from gonio_drivers.sdk import Packets
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from gonio.errors import GonioError
 from gonio.lab.rig import Health, Reading, clock
+from gonio.lab.rig.kinematics import AXES
 from gonio_drivers import joints
-from gonio_drivers.any_arms import AXES
 from gonio_drivers.arms import ServoArms
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.light import SerialLight

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gonio.checks.values import CheckedValues, Rows, incidences
+from gonio.checks.values import SIGNIFICANCE, CheckedValues, Rows, incidences
 from gonio.geometry import SAME_ANGLE, SAME_AZIMUTH, SAME_DIRECTION, Directions, wrap
 from gonio.typing import Bools, Floats
 
@@ -18,8 +18,6 @@ NEAR = float(np.radians(0.1))
 """Two directions count as one: readbacks scatter by hundredths of a degree."""
 DIFFERENT = 0.10
 """Typical difference beyond which a symmetry is called broken where no uncertainty is known."""
-SIGNIFICANCE = 0.01
-"""Significance of a chi-square: one good run in a hundred is beyond it."""
 FEWEST = 3
 VISITS = 9
 """Neighbours by which values in one direction are found."""

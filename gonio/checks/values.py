@@ -11,6 +11,13 @@ from gonio.typing import Bools, DataFrame, Floats, Ints
 
 Rows = Ints
 
+NORMAL_95 = 1.959964
+"""Standard deviations of a normal number's 95 % interval."""
+SIGNIFICANCE = 0.01
+"""A chi-square that is rarer than this rejects what it was computed for."""
+CLIPPED = 1e-3
+"""Part of the pixels of dark frames that read 0 DN, beyond which their noise is cut off there."""
+
 
 @dataclass(frozen=True)
 class CheckedValues:

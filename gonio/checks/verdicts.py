@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from gonio.checks.hemisphere import Hemispherical, reflectances
 from gonio.checks.symmetry import DIFFERENT, FEWEST, PLACES, Pairs, repeats, symmetries
-from gonio.checks.values import CheckedValues
+from gonio.checks.values import CLIPPED, CheckedValues
 from gonio.shown import with_u
 from gonio.typing import JsonObject
 
@@ -27,8 +27,6 @@ SCATTER = 1.44
 """Reduced chi-square of the frames from which uncertainties are 20 % too small."""
 SWING = 0.10
 """Change of the reference's signal beyond which a rate over the level is not linear in the level's error."""
-CLIPPED = 1e-3
-"""Share of pixels at 0 DN from which dark frames count as cut off."""
 FULL = 0.5
 """Share of the frames left out as saturated beyond which most points rest on their shorter frame alone."""
 

@@ -3,14 +3,13 @@
 from math import sqrt
 from typing import Any
 
-from gonio.compiled import njit
+from gonio.compiled import FAST, njit
 from gonio.models import _math
 from gonio.models._compile import jit
 
 exp = jit(_math.exp)
 
 SQRT5 = sqrt(5.0)
-FAST = {"contract", "arcp", "nsz"}
 
 
 @njit(error_model="numpy", nogil=True, fastmath=FAST, forceinline=True)

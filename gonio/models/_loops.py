@@ -7,16 +7,14 @@ or by `vectors_of_angles` and its like; a kernel that needs several passes over 
 of its own.
 """
 
-from math import pi
 from typing import Final
 
 from gonio.models._compile import device, template, with_others
-from gonio.models._math import sincos, sincos_polar
+from gonio.models._math import HALF_PI, sincos, sincos_polar
 
 NORM_TOLERANCE: Final = 1e-6  # how far from 1 the length of a direction may be: what float32 vectors need, and no more
 BLOCK: Final = 8192  # pairs handled at a time: one constant argument is repeated that often, and stays in the cache
 PHI_LIMIT: Final = 1e6  # rad; beyond it an azimuth has fewer than ten digits left
-HALF_PI: Final = pi / 2
 
 
 # --- from arguments to vectors ------------------------------------------------------------------------------------

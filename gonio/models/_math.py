@@ -13,6 +13,8 @@ import numpy as np
 from gonio.models._compile import device, instead_of
 
 HALF_PI = math.pi / 2
+GRAZING = 1e-150
+"""The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding it leaves the nearest integer in the low bits
 _ROUND_BITS = 4843621399236968448  # the same number's bits
 _LOG2_E = 1.4426950408889634

@@ -16,7 +16,7 @@ from gonio.geometry import Directions
 from gonio.models import hemispherical
 from gonio.models._compile import device, with_others
 from gonio.models._facets import OPPOSITE, fresnel, fresnel_constants, fresnel_real
-from gonio.models._loops import HALF_PI
+from gonio.models._math import HALF_PI
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model

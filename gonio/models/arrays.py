@@ -12,6 +12,9 @@ from gonio.models.model import Model
 from gonio.models.parameters import checked_wavelength
 from gonio.typing import ArrayLike, Floats
 
+GRAZING = 1e-12
+"""Least cosine of formulas that divide by it."""
+
 
 class ArrayModel(Model):
     """A model by one function of arrays of unit vectors, as somebody's own is: `evaluate`.

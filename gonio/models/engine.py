@@ -19,9 +19,11 @@ import numpy as np
 
 from gonio import platform
 from gonio.errors import ArgumentError, refuse_masked
+from gonio.geometry import ANGLES
 from gonio.models import _loops
 from gonio.models._compile import loop
-from gonio.models._loops import BLOCK, HALF_PI, NORM_TOLERANCE, PHI_LIMIT
+from gonio.models._loops import BLOCK, NORM_TOLERANCE, PHI_LIMIT
+from gonio.models._math import HALF_PI
 from gonio.typing import ArrayLike, Floats, NDArray
 
 Kernel = Callable[..., Any]
@@ -125,7 +127,6 @@ def common_shape(names: tuple[str, ...], shapes: list[tuple[int, ...]]) -> tuple
         raise ArgumentError(f"the shapes do not broadcast together: {given}") from None
 
 
-ANGLES: Final = ("theta_i", "phi_i", "theta_r", "phi_r")
 VECTORS: Final = ("omega_i", "omega_r")
 
 

@@ -8,14 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from gonio.models._compile import device, of_columns
-from gonio.models._math import atan_over
+from gonio.models._math import GRAZING, atan_over
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model
 from gonio.models.parameters import ALBEDO, Declaration, Ior, parameter, plain
 from gonio.typing import Floats
 
-GRAZING = 1e-150
-"""The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""
 FULL = 0.5 - 2.0 / (3.0 * pi)
 MEAN = 2.0 / 3.0 - 28.0 / (15.0 * pi)
 

@@ -6,11 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from gonio.models.arrays import ArrayModel
+from gonio.models.arrays import GRAZING, ArrayModel
 from gonio.models.parameters import parameter
 from gonio.typing import Floats
-
-GRAZING = 1e-12
 
 
 @dataclass(frozen=True, repr=False)

@@ -13,7 +13,7 @@ from gonio.models._compile import loop
 from gonio.models._facets import fresnel_constants
 from gonio.models._hemisphere import about_mirror, about_source
 from gonio.models._htsg_series import TIERS
-from gonio.models._loops import HALF_PI
+from gonio.models._math import HALF_PI
 from gonio.models.engine import Constants, Kernel
 from gonio.models.hemispherical import COARSE_RULES, COARSE_TOLERANCE, TOLERANCE
 from gonio.models.model import Model

@@ -18,8 +18,7 @@ from gonio.errors import DataError
 from gonio.models import engine
 from gonio.models._compile import loop, template
 from gonio.models._facets import above, by_angle, by_sxy2, by_tan2
-from gonio.models._loops import HALF_PI
-from gonio.models._math import sincos
+from gonio.models._math import HALF_PI, sincos
 from gonio.models.engine import Constants, Kernel
 from gonio.models.parameters import number
 from gonio.typing import ArrayLike, Floats

@@ -15,8 +15,7 @@ from gonio.models import engine
 from gonio.models._compile import device, loop, template
 from gonio.models._htsg_kernels import shadowing as pair_shadowing
 from gonio.models._htsg_series import expand, expm1, lambert_w
-from gonio.models._loops import HALF_PI
-from gonio.models._math import log, sincos_polar
+from gonio.models._math import HALF_PI, log, sincos_polar
 from gonio.models.parameters import choice
 from gonio.typing import ArrayLike
 

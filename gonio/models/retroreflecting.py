@@ -11,15 +11,12 @@ import numpy as np
 from gonio.geometry import Directions
 from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
-from gonio.models._loops import HALF_PI
-from gonio.models._math import _LOG2_E, exp2, log
+from gonio.models._math import _LOG2_E, GRAZING, HALF_PI, exp2, log
 from gonio.models.engine import Constants, Kernel
 from gonio.models.model import Model
 from gonio.models.parameters import Declaration, Ior, Levels, Values, parameter, plain
 from gonio.typing import Floats
 
-GRAZING = 1e-150
-"""The cosine that stands for that of an exactly grazing direction: the limit along equal polar angles."""
 NEAR_RETRO_DEG = 10.0
 """A lobe about the direction of incidence is looked for where a value lies this near to it."""
 

@@ -32,8 +32,6 @@ FEWEST = 3
 _FADE = float(np.radians(10.0))
 _LOWEST_COSINE = 0.01
 """A direction at or below the horizon of a slice weighs in as if at this cosine: a hundredth of the normal's weight."""
-_DISTINCT = float(np.radians(0.02))
-"""Half angles of one place: their values are averaged (`geometry.SAME_DIRECTION`)."""
 
 
 class Interpolated:
@@ -184,7 +182,9 @@ class Slice:
             excess = self._to(values) - self._base(theta_h, phi_h)
             excess[flat] = 0.0
             both = np.concatenate([point, point * [1.0, -1.0]])
-            _, first, group = np.unique(np.round(both / _DISTINCT), axis=0, return_index=True, return_inverse=True)
+            _, first, group = np.unique(
+                np.round(both / geometry.SAME_DIRECTION), axis=0, return_index=True, return_inverse=True
+            )
             count = np.bincount(group.ravel())
             total = np.zeros((first.size, values.shape[1]))
             np.add.at(total, group.ravel(), np.concatenate([excess, excess]))
@@ -268,9 +268,9 @@ def _half(omega_i: Floats, omega_r: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _averaged(place: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Ascending places and the mean of the values at each; those within `_DISTINCT` are one."""
+    """Ascending places and the mean of the values at each; those within `geometry.SAME_DIRECTION` are one."""
     order = np.argsort(place, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(place[order]) > _DISTINCT) + 1)
+    groups = np.split(order, np.flatnonzero(np.diff(place[order]) > geometry.SAME_DIRECTION) + 1)
     return np.array([place[g].mean() for g in groups]), np.array([values[g].mean(axis=0) for g in groups])
 
 

@@ -243,8 +243,6 @@ def _of_rig(table: CameraTable, rig: RigDescription) -> SceneCamera:
 
 SMALLEST = 32
 """Rows and columns that a raw file has at least."""
-SATURATED = 0.95
-"""A pixel above this share of the range between black level and saturation is not used, as in `gonio reduce`."""
 
 
 class SensorTable(Strict):

@@ -11,8 +11,9 @@ import numpy as np
 
 from gonio.disk import content
 from gonio.errors import ConfigError, DataError
+from gonio.lab.acquisition.exposure import USABLE
 from gonio.typing import Array, Bools, Floats, JsonObject
-from gonio_scenes.camera import SATURATED, falloff
+from gonio_scenes.camera import falloff
 from gonio_scenes.scene import PhotographTable, Scene
 
 Mask = Bools
@@ -101,7 +102,7 @@ def _raw(scene: Scene, table: PhotographTable, path: Path, data: bytes) -> Expos
     low, high = float(frame.mosaic[used].min()), float(frame.mosaic[used].max())
     light = max(high - black, 0.0) * gain
     bright = steady + (light if sensor.photon_noise else 0.0) + (sensor.prnu * light) ** 2
-    top = frame.mosaic > black + SATURATED * (full - black)
+    top = frame.mosaic > black + USABLE * (full - black)
     if _piled(frame.mosaic[used], high, high - 1.0, bright / gain**2):
         top |= frame.mosaic == high
     bottom = frame.mosaic == 0

@@ -14,10 +14,11 @@ import numpy as np
 from gonio import __version__
 from gonio.disk import require_own, work_folder, write_own
 from gonio.errors import ConfigError, os_error_as
+from gonio.lab.acquisition.exposure import USABLE
 from gonio.lab.rig.dng import encode_dng
 from gonio.lab.rig.protocols import Frame
 from gonio.typing import Floats, JsonObject, NDArray
-from gonio_scenes.camera import SATURATED, expose
+from gonio_scenes.camera import expose
 from gonio_scenes.lights import DiscLight, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene
@@ -85,7 +86,7 @@ def _of_frame(scene: Scene, frame: Frame) -> JsonObject:
     assert table is not None
     assert table.sensor is not None
     full = min(frame.white_level_dn, frame.black_level_dn + table.sensor.full_well_e / table.sensor.electrons_per_dn)
-    limit = frame.black_level_dn + SATURATED * (full - frame.black_level_dn)
+    limit = frame.black_level_dn + USABLE * (full - frame.black_level_dn)
     return {
         "exposure_s": frame.exposure_s,
         "seed": table.seed,

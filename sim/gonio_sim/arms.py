@@ -18,18 +18,17 @@ The first offset is the true one (`World.truth`), the second what the rig file o
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.lab.rig import Pose
 from gonio.lab.rig.description import Axis
-from gonio.lab.rig.kinematics import encoder_error
+from gonio.lab.rig.kinematics import AXES, encoder_error
 from gonio.lab.rig.motion_planning import route, touching
 from gonio_sim.world import SETTLE_S, Stream, World
 
-AXES = tuple(field.name for field in fields(Pose))
 LOOK_S = 0.05
 """How finely a way is looked at for collisions: 1.5 deg of an arm at its usual speed."""
 NOISE = 1

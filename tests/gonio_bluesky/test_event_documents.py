@@ -17,8 +17,9 @@ from gonio_bluesky.event_files import read, write
 
 from gonio import plugins
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted
+from gonio.geometry import ANGLES_DEG
 from gonio.lab.acquisition.journal import Journal, encode, now
-from gonio.lab.acquisition.plan import ANGLES, Assessed
+from gonio.lab.acquisition.plan import Assessed
 from gonio.lab.acquisition.run import Run
 from gonio.lab.acquisition.run_settings import RunRequest
 from gonio.lab.reduction import brdf
@@ -89,7 +90,7 @@ def test_every_number_of_the_journal_and_the_table_reads_back(folder: Path, tmp_
         for axis in run.description.axes():
             assert data[f"{axis}_deg"] == math.degrees(getattr(step.pose, axis))
         if name == "primary":
-            assert [data[angle] for angle in ANGLES] == run.points.angles_deg[data["point"]].tolist()
+            assert [data[angle] for angle in ANGLES_DEG] == run.points.angles_deg[data["point"]].tolist()
             assert data["level_per_s"] == list((step.level_per_s or {}).values())
             assert data["exposure_s"] == [
                 max(frame.exposure_s for frame in step.frames if frame.band == band.name) for band in run.bands
@@ -203,14 +204,16 @@ def test_what_was_chosen_is_among_the_documents(tmp_path: Path, monkeypatch: pyt
     assert (told.count("chosen"), told.count("enough")) == (3, 1)
     chosen = [json.loads(data["content"])["points"] for data in events(of, "journal") if data["event"] == "chosen"]
     rows = events(of, "primary")[3:]
-    assert [[row[angle] for angle in ANGLES] for row in rows] == [point for batch in chosen for point in batch]
+    assert [[row[angle] for angle in ANGLES_DEG] for row in rows] == [point for batch in chosen for point in batch]
 
 
 def test_a_long_run_reads_back_bit_for_bit(tmp_path: Path) -> None:
     """More than one page of steps; how long 10^4 take docs/interchange.md says, since machines differ."""
     count = 1200
     text = 'name = "long"\nwavelength_nm = [550]\n[[points]]\nfile = "points.csv"\n'
-    (tmp_path / "points.csv").write_text("\n".join([",".join(ANGLES), *(f"30,0,{k / 15},180" for k in range(count))]))
+    (tmp_path / "points.csv").write_text(
+        "\n".join([",".join(ANGLES_DEG), *(f"30,0,{k / 15},180" for k in range(count))])
+    )
     plan = plan_in(tmp_path, text)
     short = measure(plan_in(tmp_path), tmp_path / "short")
     template = next(e for e in short.events() if e.get("kind") == "point")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gonio.errors import DeviceError, Interrupted
+from gonio.geometry import ANGLES_DEG as COLUMNS
 from gonio.instrument import apparent_brdf
-from gonio.lab.acquisition.plan import ANGLES as COLUMNS
 from gonio.lab.reduction import brdf
 from gonio.lab.rig import Frame
 from gonio.lab.rig.description import RigDescription

@@ -22,9 +22,9 @@ from gonio_analysis.fitting.profile_likelihood import walked
 from gonio import instrument, measurement, models
 from gonio.config import numbers_in, read_toml, to_toml, with_numbers
 from gonio.errors import GonioError, Interrupted
-from gonio.geometry import AROUND_MIRROR, Directions
+from gonio.geometry import ANGLES_DEG, AROUND_MIRROR, Directions
 from gonio.lab.acquisition.measure import carry_out, find_rig
-from gonio.lab.acquisition.plan import ANGLES, load_plan
+from gonio.lab.acquisition.plan import load_plan
 from gonio.lab.by_hand import alignment, rig_file
 from gonio.lab.by_hand.alignment_scans import Scans
 from gonio.lab.by_hand.manual_rig import ManualRig, open_rig
@@ -115,7 +115,7 @@ def _write(campaign: Campaign, folder: Path) -> None:
     for name, tables in {"rig": campaign.rig, "truth": campaign.true, "sample": sample, "plan": plan}.items():
         (folder / f"{name}.toml").write_text(to_toml(tables), encoding="utf-8", newline="\n")
     text = io.StringIO()
-    csv.writer(text).writerows([ANGLES, *campaign.points])
+    csv.writer(text).writerows([ANGLES_DEG, *campaign.points])
     (folder / "points.csv").write_text(text.getvalue(), encoding="utf-8", newline="\n")
 
 

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio.checks.values import Rows
+from gonio.checks.values import NORMAL_95, Rows
 from gonio.geometry import Directions
 from gonio.models.corrected import LEVEL, Correction, folded
 from gonio.models.gaussian_process import OF_CURVES, Coordinates, Prior, Process, Training, objective
@@ -66,7 +66,6 @@ IMPOSSIBLE = 1e30
 """-2 ln of a likelihood that is 0."""
 FARTHEST = 100.0
 """Distance of an end of tau's interval, in ln tau, beyond which nothing is known of it."""
-K95 = 1.959964
 
 
 def estimated_tau(z: Floats, jacobian: Floats, stated: Covariance | None) -> float:
@@ -221,7 +220,7 @@ class Misfit:
     @property
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of tau."""
-        far = math.exp(min(K95 * self.u_log, FARTHEST))
+        far = math.exp(min(NORMAL_95 * self.u_log, FARTHEST))
         return self.tau / far, self.tau * far
 
     @cached_property

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.checks.values import SIGNIFICANCE
 from gonio.errors import ConfigError
 from gonio.models.parameters import METALLIC_N, Declaration, Fitted, Ior, Values
 from gonio.typing import Floats
@@ -18,8 +19,6 @@ from gonio_analysis.fitting.forward import ByWavelength, rho_dh
 from gonio_analysis.fitting.objective import LOSSES, METRICS
 from gonio_analysis.fitting.observations import check_u_rel
 
-SIGNIFICANCE = 0.01
-"""A model is rejected where noise alone makes so large a chi-square less often than this."""
 STARTS = 4
 MARGIN = 1e-4
 """The bound on rho_dh lies so far below 1, for it gives a little."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from gonio.checks.values import NORMAL_95
 from gonio.models import Model, Sum
 from gonio.models.parameters import described
 from gonio.shown import interval
@@ -17,8 +18,6 @@ from gonio_analysis.selection.regions import WorstRegion
 
 SHORT = 18
 """Characters of a name that stay on one line."""
-NORMAL_95 = 1.959964
-"""Standard uncertainties to either end of a 95 % interval of a normal distribution."""
 TOO_BRIGHT = term(
     "⚠ too bright", "It reflects more light than it receives at an angle of incidence: see Energy. --energy forbids it."
 )

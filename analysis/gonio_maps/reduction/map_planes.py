@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import DataError
-from gonio.lab.acquisition.exposure import full_scale_dn
+from gonio.lab.acquisition.exposure import SATURATED, USABLE, full_scale_dn
 from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.reduction import merging
 from gonio.lab.reduction.count_rates import RunFrames, lit_frames, without_dark
 from gonio.lab.reduction.dark_signal import Darks
-from gonio.lab.reduction.merging import SATURATED, Region, bound
+from gonio.lab.reduction.merging import Region, bound
 from gonio.lab.reduction.stray_light import SpreadLight
 from gonio.lab.rig import Frame, imaging, light_and_camera
 from gonio.lab.rig.imaging import Channel, pixel_map
@@ -329,7 +329,9 @@ class Planes:
         variance += self._common(taken, shares, rate)
         excess = dark_rate - max(self.dark.usual_rate, camera.dark_current_e_per_s)
         longest, of_darks = float(exposed.max()), float(self.dark.darks.exposures_s.max())
-        hot = (excess * longest > merging.HOT * camera.saturation_e) | (excess * of_darks > 0.95 * camera.saturation_e)
+        hot = (excess * longest > merging.HOT * camera.saturation_e) | (
+            excess * of_darks > USABLE * camera.saturation_e
+        )
         flag = np.where(hot, HOT, 0) + np.where(bright.all(axis=0), FULL, 0)
         flag = np.where((total <= 0) & (flag == 0), HOT, flag)
         return rate, variance, flag

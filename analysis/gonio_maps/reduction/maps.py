@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from gonio import hdf5
 from gonio.errors import ConfigError, DataError
+from gonio.geometry import ANGLES_DEG
 from gonio.lab.reduction.brdf import Reduction
 from gonio.lab.reduction.count_rates import RunFrames
 from gonio.lab.rig import kinematics
@@ -31,7 +32,7 @@ from gonio.lab.rig.regions import filling
 from gonio.threads import in_threads
 from gonio.typing import DataFrame, Floats
 from gonio_maps import files
-from gonio_maps.files import ANGLES, FLAGS, Parts, Tile, Variable
+from gonio_maps.files import FLAGS, Parts, Tile, Variable
 from gonio_maps.reduction.map_grid import Grid, Lookup, grid
 from gonio_maps.reduction.map_planes import OUTSIDE, PIXEL, MapPoint, Planes, lattices
 from gonio_maps.reduction.registration import shifts
@@ -318,8 +319,8 @@ def _variables(
     views = [point.view for point in points]
     brdf = table["brdf"].to_numpy(dtype=float)
     out = {name: Variable((name,), cells.places, units="mm", about=f"{name} on the sample") for name in ("y", "x")}
-    for name in (*ANGLES, "wavelength_nm"):
-        unit = "degree" if name in ANGLES else "nm"
+    for name in (*ANGLES_DEG, "wavelength_nm"):
+        unit = "degree" if name in ANGLES_DEG else "nm"
         out[name] = Variable(("point",), table[name].to_numpy(dtype=float), units=unit, about=f"{name} at the centre")
     out |= {
         "plan_point": Variable(("point",), plan_rows.astype(np.int64), "i8", about="row of the plan"),

@@ -28,6 +28,11 @@ Used = Callable[[NDArray[np.uint16]], NDArray[np.generic]]
 
 SATURATED = 0.98
 """Levels above this are taken for saturated: a full pixel scatters around full scale by its noise."""
+MAY_BE_FULL = 0.97
+"""The same of what full pixels enter somewhat lower: means of frames, and levels without their dark signal."""
+USABLE = 0.95
+"""A frame whose brightest used pixel lies above this is not used for a rate at all: dropping single pixels, or frames
+that are only nearly full, would keep the darker half of the noise."""
 SHORTER = 4.0
 """The frame that ends every point is this many times shorter."""
 STEP = 16.0

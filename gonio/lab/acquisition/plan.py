@@ -21,8 +21,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 from gonio.config import Positive, Strict, parse, read_toml
 from gonio.disk import only_file
 from gonio.errors import ConfigError
-from gonio.geometry import Directions
-from gonio.lab.acquisition.plan_tables import ANGLES as ANGLES
+from gonio.geometry import ANGLES_DEG, Directions
 from gonio.lab.acquisition.plan_tables import MAX_POINTS, HalfVector, Hemisphere, PointsFile, Repeated, Sweep
 from gonio.lab.rig import Pose, regions
 from gonio.lab.rig.description import RigDescription
@@ -35,7 +34,7 @@ from gonio.typing import TomlTable
 SAME_DEG = 1e-7
 """Points closer than this in every angle [deg] are one point: above rounding, and far below an encoder's step."""
 GRAZING_DEG = 1e-6
-PLAN_COLUMNS = ["point", *ANGLES, "flag", "reason"]
+PLAN_COLUMNS = ["point", *ANGLES_DEG, "flag", "reason"]
 """Columns of a plan.csv."""
 
 
@@ -270,12 +269,12 @@ def read_points(path: Path) -> list[Point]:
 
 def _points_of(path: Path, lines: "csv.DictReader[str]") -> list[Point]:
     columns = [name.strip() for name in lines.fieldnames or ()]
-    for name in ANGLES:
+    for name in ANGLES_DEG:
         if name not in columns:
             raise ConfigError(
-                f"{path}: the column {name} is missing; a list of points needs {', '.join(ANGLES)}, in degrees"
+                f"{path}: the column {name} is missing; a list of points needs {', '.join(ANGLES_DEG)}, in degrees"
             )
-    for name in (*ANGLES, "side"):
+    for name in (*ANGLES_DEG, "side"):
         if columns.count(name) > 1:
             raise ConfigError(f"{path}: the column {name} is there {columns.count(name)} times")
     lines.fieldnames, points = columns, []
@@ -290,7 +289,7 @@ def _points_of(path: Path, lines: "csv.DictReader[str]") -> list[Point]:
         if side not in ("reflection", "transmission"):
             raise ConfigError(f"{path}: line {lines.line_num}: side = {side[:40]!r}; reflection or transmission")
         behind = side == "transmission"
-        for name in ANGLES:
+        for name in ANGLES_DEG:
             try:
                 values[name] = float(row[name])
             except (TypeError, ValueError):
@@ -340,7 +339,7 @@ def plan_csv(points: Sequence[Assessed]) -> str:
     lines = csv.writer(out, lineterminator="\n")
     lines.writerow(PLAN_COLUMNS)
     for row, a in enumerate(points):
-        lines.writerow([row, *(repr(float(getattr(a.point, name))) for name in ANGLES), a.flag, a.reason])
+        lines.writerow([row, *(repr(float(getattr(a.point, name))) for name in ANGLES_DEG), a.flag, a.reason])
     return out.getvalue()
 
 
@@ -389,5 +388,5 @@ def _turn(phi: float) -> float:
 def _identity(point: Point) -> tuple[int, ...]:
     """Equal for points with the same directions; along the normal the azimuth means nothing."""
     turn = round(360.0 / SAME_DEG)
-    i, pi, r, pr = (round(getattr(point, name) / SAME_DEG) for name in ANGLES)
+    i, pi, r, pr = (round(getattr(point, name) / SAME_DEG) for name in ANGLES_DEG)
     return (i, pi % turn if i else 0, r, pr % turn if r else 0)

@@ -14,7 +14,15 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from gonio.config import Strict
-from gonio.geometry import AT_HORIZON, EXACTLY_IN_PLANE, angles, direction, half_angle_of_cone, solid_angle_of_cone
+from gonio.geometry import (
+    ANGLES_DEG,
+    AT_HORIZON,
+    EXACTLY_IN_PLANE,
+    angles,
+    direction,
+    half_angle_of_cone,
+    solid_angle_of_cone,
+)
 from gonio.typing import Bools, Floats
 
 Side = Literal["reflection", "transmission"]
@@ -22,7 +30,6 @@ Flags = Bools
 DIGITS = 12
 """Digits of the angles of grids in degrees: 40.0 and not 39.99999999999999, at 2e-14 rad."""
 MAX_POINTS = 1_000_000
-ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 Row = tuple[float, float, float, float]
 """The four angles of a point [deg]; a theta may be negative, which is the other side of the normal."""
 
@@ -163,7 +170,7 @@ class Sweep(Repeated):
         if isinstance(value, dict) and "phi_i_deg" in value:
             raise ValueError(
                 "phi_i_deg: the light of a sweep stands at azimuth 0. For other azimuths of incidence name a table "
-                'of points: [[points]] with file = "points.csv" and the columns ' + ", ".join(ANGLES)
+                'of points: [[points]] with file = "points.csv" and the columns ' + ", ".join(ANGLES_DEG)
             )
         return value
 

@@ -24,6 +24,7 @@ from typing_extensions import TypedDict
 
 from gonio.errors import DataError
 from gonio.lab.rig.health import Reading
+from gonio.lab.rig.kinematics import AXES
 from gonio.lab.rig.protocols import Pose
 from gonio.typing import JsonObject
 
@@ -31,7 +32,6 @@ Kind = Literal["dark", "reference", "point"]
 Extra = Literal["allow", "ignore", "forbid"]
 
 LABEL_FORMAT = "gonio-frame-1"
-AXES = tuple(each.name for each in fields(Pose))
 _of_axes = attrgetter(*AXES)
 compact = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 """JSON without spaces; raises `ValueError` for numbers that it does not have."""

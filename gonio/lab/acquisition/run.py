@@ -46,9 +46,10 @@ from gonio.disk import (
     write_own,
 )
 from gonio.errors import ConfigError, DataError, os_error_as
+from gonio.geometry import ANGLES_DEG
 from gonio.lab.acquisition.frame_writer import NAME, label_of
 from gonio.lab.acquisition.journal import Event, Events, Index, Journal, Steps, files_named, first_event, read_events
-from gonio.lab.acquisition.plan import ANGLES, PLAN_COLUMNS, Point, plan_csv, points_sha256
+from gonio.lab.acquisition.plan import PLAN_COLUMNS, Point, plan_csv, points_sha256
 from gonio.lab.acquisition.run_folder import OURS, check_new, make_folder, remove_begun
 from gonio.lab.acquisition.run_settings import RunRequest, RunSettings, named_files, resolved, settings_for
 from gonio.lab.acquisition.schedule import Batch
@@ -223,7 +224,7 @@ class Run:
         import pandas as pd
 
         points = self.points
-        table = pd.DataFrame(points.angles_deg, columns=list(ANGLES))
+        table = pd.DataFrame(points.angles_deg, columns=list(ANGLES_DEG))
         return table.assign(flag=pd.Series(points.flags, dtype=str), reason=pd.Series(points.reasons, dtype=str))
 
     @property
@@ -244,7 +245,9 @@ class Run:
             return self.planned
         if self._grown is None or self._grown[0] != len(batches):
             chosen = [angles for batch in batches for angles in batch["points"]]
-            table = np.concatenate([self.planned.angles_deg, np.array(chosen, dtype=float).reshape(-1, len(ANGLES))])
+            table = np.concatenate(
+                [self.planned.angles_deg, np.array(chosen, dtype=float).reshape(-1, len(ANGLES_DEG))]
+            )
             more = [""] * len(chosen)
             self._grown = len(batches), Points(table, self.planned.flags + more, self.planned.reasons + more)
         return self._grown[1]
@@ -289,7 +292,7 @@ class Run:
         own = read_manifest(self.path).get("plan.csv")
         if path.is_file() and _changed(self.path, {"plan.csv"}):
             raise DataError(f"{path}: was changed after it was written (its checksum differs); {RESTORE}")
-        angles: list[Floats] = [np.empty((0, len(ANGLES)))]
+        angles: list[Floats] = [np.empty((0, len(ANGLES_DEG)))]
         flags: list[str] = []
         reasons: list[str] = []
         try:
@@ -394,7 +397,7 @@ class Run:
         DataError
             The disk is full or fails.
         """
-        points = [[float(getattr(point, name)) for name in ANGLES] for point in batch.points]
+        points = [[float(getattr(point, name)) for name in ANGLES_DEG] for point in batch.points]
         event = {"event": "chosen", "first_step": batch.first_step, "points": points, "why": dict(why)}
         kept = [*({k: v for k, v in e.items() if k in event} for e in self._indexed.chosen), event]
         with os_error_as(DataError, f"{self.path / CHOSEN}: cannot be written"):

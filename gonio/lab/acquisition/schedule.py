@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import overload
 
 from gonio.errors import ConfigError
-from gonio.lab.acquisition.plan import ANGLES, Assessed, Plan, Point, assess, canonical, count_reasons
+from gonio.geometry import ANGLES_DEG
+from gonio.lab.acquisition.plan import Assessed, Plan, Point, assess, canonical, count_reasons
 from gonio.lab.rig import Pose, Step, regions
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.inverse_kinematics import Unreachable, reach
@@ -162,7 +163,7 @@ class Batch:
             try:
                 pose = reach(description, point.directions)
             except Unreachable as error:
-                angles = ", ".join(f"{name} = {getattr(point, name):g}" for name in ANGLES)
+                angles = ", ".join(f"{name} = {getattr(point, name):g}" for name in ANGLES_DEG)
                 raise ConfigError(f"the sampler named a point that the rig cannot reach ({angles}): {error}") from None
             out.append(Step(self.first_step + len(out), "point", self.first_row + k, pose))
             if (k + 1) % every == 0 or k + 1 == len(self.points):

@@ -25,6 +25,7 @@ from gonio.lab.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.lab.rig.kinematics import View, left_its_side, view
 from gonio.lab.rig.light_and_camera import Band
 from gonio.lab.rig.motion_planning import Blocked, route
+from gonio.lab.rig.protocols import Monitors
 from gonio.lab.rig.regions import Roi, require_frame, roi
 
 log = logging.getLogger("gonio.devices")
@@ -354,7 +355,7 @@ class _Session:
         """A frame with the reading of the lamp's monitor, where frames are divided by it."""
         if not (self._lit and self._description.lamp.monitor and frame.monitor is None):
             return frame
-        read = getattr(self._rig.light, "monitor", lambda: None)()
+        read = self._rig.light.monitor() if isinstance(self._rig.light, Monitors) else None
         if read is None or not 0.0 < read < math.inf:
             raise DeviceError(
                 f'the lamp of the rig "{self._description.name}" gives no reading of a monitor ({read}), and the rig '

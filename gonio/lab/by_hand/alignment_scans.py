@@ -12,6 +12,7 @@ from gonio.lab.acquisition import exposure
 from gonio.lab.by_hand.alignment import ALIGNED, COLUMNS, Peak, peak
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.rig import Frame, Pose, kinematics, regions
+from gonio.lab.rig.protocols import Dims
 
 MIRROR_LIGHT_DEG = (30.0, -30.0, 45.0, -45.0, 60.0, -60.0)
 STRAIGHT = 4
@@ -224,7 +225,7 @@ class Scans:
         target, shortest, most = (
             self._description.acquisition.exposure_target, self._shortest_s, min(self._longest_s, LONGEST_S),
         )  # fmt: skip
-        exposure_s, levels = self._exposure_s or shortest, iter(DIMMED if hasattr(self._manual.light, "dim") else ())
+        exposure_s, levels = self._exposure_s or shortest, iter(DIMMED if isinstance(self._manual.light, Dims) else ())
         for _ in range(24):
             level = self._level_of(self._manual.camera.capture(exposure_s), 99.5, whole=whole)
             if level >= 0.9 and exposure_s > shortest:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from gonio.errors import ArgumentError, ConfigError, DeviceError, GonioError
-from gonio.geometry import Directions
+from gonio.geometry import ANGLES, Directions
 from gonio.lab.acquisition.measure import RigChoice, find_rig
 from gonio.lab.rig import (
     ArmsDevice,
@@ -37,7 +37,7 @@ from gonio.lab.rig import (
 )
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band
-from gonio.lab.rig.protocols import Holds, Jogs, OpensSome, Surveys, TellsHealth
+from gonio.lab.rig.protocols import Dims, Holds, Jogs, OpensSome, Surveys, TellsHealth
 from gonio.samples.description import SampleDescription
 from gonio.samples.files import load_sample
 from gonio.typing import DataFrame
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("gonio.devices")
 
-DIRECTIONS = ("theta_i", "phi_i", "theta_r", "phi_r")
 EYE_NM = 555.0
 """Where an eye sees most: the band that is lit where nobody asks for one."""
 
@@ -95,7 +94,7 @@ class ManualRig:
     """Seconds on the rig's own clock."""
 
     def __init__(self, rig: Rig, source: str = "", only: Sequence[Device] = ()) -> None:
-        self._rig, self._source, self._open = rig, source, False
+        self.rig, self._source, self._open = rig, source, False
         self._band: Band | None = None
         self._stops = 0
         self.entered = False
@@ -108,35 +107,35 @@ class ManualRig:
 
     def __enter__(self) -> Self:
         with self._naming():
-            self._rig.__enter__()
+            self.rig.__enter__()
         self._open = self.entered = True
         return self
 
     def __exit__(self, *how: Any) -> None:
         self._open = False
-        self._rig.__exit__(*how)
+        self.rig.__exit__(*how)
 
     def __getattr__(self, name: str) -> Any:
         """What is declared above, and whatever else the rig has."""
-        if name.startswith("__") or name == "_rig":
+        if name.startswith("__") or name == "rig":
             raise AttributeError(name)
-        return getattr(self._rig, name)
+        return getattr(self.rig, name)
 
     def _naming(self) -> contextlib.AbstractContextManager[None]:
-        return RigChoice(None, self._rig.description, self._source).naming()  # type: ignore[arg-type]
+        return RigChoice(None, self.rig.description, self._source).naming()  # type: ignore[arg-type]
 
     # ---- by hand ----
 
     @property
     def can_hold(self) -> bool:
         """Whether `hold` has an effect; a rig whose driver has no `hold` parks whenever it is left."""
-        return isinstance(self._rig, Holds)
+        return isinstance(self.rig, Holds)
 
     def hold(self) -> None:
         """On leaving, the arms stay where they stand and hold; the lamp is darkened all the same."""
-        if not isinstance(self._rig, Holds):
+        if not isinstance(self.rig, Holds):
             raise ConfigError(f'the driver of rig "{self.description.name}" has no `hold`: its arms park on leaving')
-        self._rig.hold()
+        self.rig.hold()
 
     def move(self, **angles: float) -> Moved:
         """Drive axes, or all axes to directions; the others stay where they are.
@@ -197,14 +196,14 @@ class ManualRig:
         return legs
 
     def _drive(self, goals: dict[str, float]) -> dict[str, float]:
-        if isinstance(self._rig, Jogs):
-            return self._rig.jog(goals)
+        if isinstance(self.rig, Jogs):
+            return self.rig.jog(goals)
         pose = self.arms.move(replace(self.arms.read(), **goals))
         return {name: getattr(pose, name) for name in goals}
 
     def goals(self, **angles: float) -> tuple[dict[str, float], str]:
         """Where `move` would drive the axes [rad], and by which branch; nothing has to be open; errors of `move`."""
-        if any(name in DIRECTIONS for name in angles):
+        if any(name in ANGLES for name in angles):
             pose, branch = self._reached(angles)
             return {name: float(getattr(pose, name)) for name in self.description.axes()}, branch
         goals = {name: float(angle) for name, angle in angles.items()}
@@ -217,23 +216,23 @@ class ManualRig:
         Before it is entered nothing is changed by it. A device that says nothing stands in `silent`. (A driver without
         `survey` has to be entered for it, and parks when it is left.)
         """
-        if not self._open and isinstance(self._rig, Surveys):
+        if not self._open and isinstance(self.rig, Surveys):
             with self._naming():
-                return self._rig.survey()
+                return self.rig.survey()
         if not self._open:
             with self:
                 return self.read()
-        if isinstance(self._rig, TellsHealth):
-            return self._rig.health()
+        if isinstance(self.rig, TellsHealth):
+            return self.rig.health()
         pose, limits = self.arms.read(), self.description.limits_deg()
         return Health(tuple(Reading(n, "angle", math.degrees(getattr(pose, n)), "deg", limits[n]) for n in limits))
 
     def read_arms(self) -> Health:
         """As `read`, of the axes alone; before the rig is entered, or after it was left."""
-        if not isinstance(self._rig, Surveys):
+        if not isinstance(self.rig, Surveys):
             return self.read()
         with self._naming():
-            return self._rig.survey("arms")
+            return self.rig.survey("arms")
 
     def pose(self) -> Pose | None:
         """Where all axes stand [rad]; None where one of them does not say so."""
@@ -242,9 +241,9 @@ class ManualRig:
                 return self.arms.read()
             except GonioError:
                 return None
-        if not isinstance(self._rig, Surveys):
+        if not isinstance(self.rig, Surveys):
             return None
-        health = self._rig.survey("arms")
+        health = self.rig.survey("arms")
         angles = {name: health.of(name, "angle") for name in self.description.axes()}
         if not all(isinstance(angle, float) for angle in angles.values()):
             return None
@@ -275,7 +274,7 @@ class ManualRig:
         if not level:
             self.light.off()
             return
-        if hasattr(self.light, "dim"):
+        if isinstance(self.light, Dims):
             self.light.dim(None if level is True else float(level))
         elif level is not True and level != 1:
             raise ConfigError(f'the lamp of rig "{self.description.name}" has no levels: it can be on or off')
@@ -323,7 +322,7 @@ class ManualRig:
             raise ArgumentError(f"nothing to move: name an axis ({', '.join(limits)}), or theta_i and theta_r")
         for name, angle in goals.items():
             if name not in limits:
-                known = f"it has {', '.join(limits)}; directions are {', '.join(DIRECTIONS)}"
+                known = f"it has {', '.join(limits)}; directions are {', '.join(ANGLES)}"
                 raise ConfigError(f'rig "{self.description.name}" has no axis {name}; {known}')
             lower, upper = limits[name]
             degrees = math.degrees(angle)
@@ -331,9 +330,9 @@ class ManualRig:
                 raise ConfigError(f"{name} = {degrees:g} deg is outside this axis's limits, {lower:g} to {upper:g} deg")
 
     def _reached(self, angles: dict[str, float]) -> tuple[Pose, str]:
-        wrong = [name for name in angles if name not in DIRECTIONS]
+        wrong = [name for name in angles if name not in ANGLES]
         if wrong:
-            raise ArgumentError(f"{wrong[0]}: give either axes or directions ({', '.join(DIRECTIONS)})")
+            raise ArgumentError(f"{wrong[0]}: give either axes or directions ({', '.join(ANGLES)})")
         for name in ("theta_i", "theta_r"):
             if name not in angles:
                 raise ArgumentError(f"{name} is missing: directions need theta_i and theta_r")

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from gonio.errors import ConfigError, DataError
+from gonio.lab.acquisition.exposure import MAY_BE_FULL
 from gonio.lab.calibration import beam, black_frames, linearity, photon_transfer
 from gonio.lab.calibration.camera_frames import CameraFrame, Passes
 from gonio.lab.reduction.stray_light import spread
@@ -295,7 +296,7 @@ class _Work(Passes):
         for (_, exposure, _), group in groups.items():
             mean = self.mean(group)
             top = float(np.percentile(mean[self.good], 99.9)) - self.level
-            if top > 0.97 * (self.camera.white_level_dn - self.level):
+            if top > MAY_BE_FULL * (self.camera.white_level_dn - self.level):
                 raise DataError(
                     f"{group[0].path}: is full where it is bright; stray light needs frames that are not: "
                     f"expose shorter"
@@ -342,7 +343,7 @@ class _Work(Passes):
         pictures = []
         for (pose, exposure), group in groups.items():
             signal = self._signal(camera, self.mean(group), exposure)
-            if float(np.percentile(signal[self.good], 99.0)) > 0.97 * self.full:
+            if float(np.percentile(signal[self.good], 99.0)) > MAY_BE_FULL * self.full:
                 raise DataError(f"{group[0].path}: is full: frames of the field are not; expose shorter")
             if stray is not None:
                 fractions = {"stray_light": max(stray.uniform, 0.0), "stray_halo": stray.halo}

@@ -17,6 +17,7 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
+from gonio.checks.values import CLIPPED
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError, DeviceError
 from gonio.lab.calibration import photon_transfer
@@ -209,8 +210,6 @@ def write_list(folder: Path, frames: list[CameraFrame]) -> None:
     write_whole(folder / LIST, out.getvalue().encode())
 
 
-CLIPPED = 1e-3
-"""Part of the pixels of dark frames that may read 0 DN: beyond it their noise is cut off."""
 BRIGHT = 0.9
 """Part of the flats' brightest level: pixels above it are the region of the photon transfer."""
 PARTS = (BRIGHT, 0.45, 0.2, 0.09, 0.04, 0.02, 0.01)

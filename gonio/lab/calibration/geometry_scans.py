@@ -18,6 +18,7 @@ from gonio.disk import content
 from gonio.errors import ConfigError, DataError, DeviceError, os_error_as
 from gonio.geometry import overlap_of_discs
 from gonio.lab.acquisition import exposure
+from gonio.lab.acquisition.exposure import MAY_BE_FULL
 from gonio.lab.by_hand.alignment_scans import BRIGHT, Scans
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.calibration import fiducials
@@ -39,8 +40,6 @@ AWAY_DEG = 3.0
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 INSIDE, INSIDE_UNSURE = 0.85, 0.6
 """Part of the mirror's radius: its edge may lie a little beside where markers show it, or the rig file alone."""
-SATURATED = 0.97
-"""Part of full scale: a pixel as bright may be brighter."""
 SURE, SURE_PX = 12, 0.4
 """Corners, and their scatter, that show the mirror's edge."""
 DARK = {
@@ -343,7 +342,7 @@ def spot_of(light: Floats, description: RigDescription, inside: Bools | None) ->
 
     whole = binned(inside) == 1.0
     y, x = np.nonzero(whole)
-    values = binned(np.clip(light / SATURATED, 0.0, 1.0))[whole]
+    values = binned(np.clip(light / MAY_BE_FULL, 0.0, 1.0))[whole]
     if len(values) < 30 or values.max() < BRIGHT:
         return None
     at = values > 0.5 * values.max()

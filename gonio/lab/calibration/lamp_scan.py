@@ -17,6 +17,7 @@ from gonio.lab.reduction import stray_light
 from gonio.lab.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, light_and_camera, regions
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import linear_dn, straightened
+from gonio.lab.rig.protocols import Monitors
 from gonio.typing import Array, DataFrame, Floats
 
 DARK_FRAMES = 8
@@ -231,7 +232,7 @@ class _Steps:
 
 
 def _monitor(manual: ManualRig) -> float | None:
-    read = getattr(manual.light, "monitor", lambda: None)()
+    read = manual.light.monitor() if isinstance(manual.light, Monitors) else None
     return None if read is None else float(read)
 
 

@@ -69,7 +69,6 @@ def move(
     rig: RigOption,
 ) -> None:  # fmt: skip
     """Move axes, or all of them to directions. They hold where they landed, until `gonio rig park`."""
-
     wanted = _angles(goals)
     manual = manual_rig_of(rig, "arms")
     manual.goals(**wanted)  # whatever is wrong with them is said before anything is opened
@@ -96,6 +95,8 @@ def move(
 def park(rig: RigOption) -> None:
     """Darken the lamp, and drive every axis to its rest position; each whatever the other does."""
 
+    from gonio.lab.rig.protocols import OpensSome
+
     name = choice_of(rig).description.name
     done, failures = [], []
     for device, text in (("light", "lamp dark"), ("arms", "arms parked")):
@@ -113,7 +114,7 @@ def park(rig: RigOption) -> None:
             if failures:
                 console.note(f"{name}: {'; '.join(failures)}")
             raise
-        if not hasattr(manual, "only"):
+        if not isinstance(manual.rig, OpensSome):
             done = [] if failures else ["lamp dark", "arms parked"]
             break  # it opens everything, and was left in order
     if failures:
@@ -158,13 +159,17 @@ def acknowledge(rig: RigOption) -> None:
 def dark(rig: RigOption) -> None:
     """Darken the lamp; needs nothing else. Where another program has its port, that program's guard darkens it."""
 
+    from gonio.lab.rig.protocols import OpensSome
+
     manual = manual_rig_of(rig, "light")
     if said := _darkened_elsewhere(manual):
         console.note(f"{manual.description.name}: {said}")
         return
     with told_dark(manual), manual:
         manual.lamp(False)
-    console.note(f"{manual.description.name}: lamp dark" + ("" if hasattr(manual, "only") else ", arms parked"))
+    console.note(
+        f"{manual.description.name}: lamp dark" + ("" if isinstance(manual.rig, OpensSome) else ", arms parked")
+    )
 
 
 def _darkened_elsewhere(manual: ManualRig) -> str:
@@ -233,8 +238,10 @@ def read(rig: RigOption, as_json: AsJson = False) -> None:
     """Read angles, temperatures, currents, voltages, lamp and camera; changes nothing. Exit 3 if one says nothing."""
     from rich.text import Text
 
+    from gonio.lab.rig.protocols import Surveys
+
     manual = manual_rig_of(rig)
-    if not hasattr(manual, "survey"):
+    if not isinstance(manual.rig, Surveys):
         console.note("this rig's driver has no `survey`: it is opened for this, and parks when it is left")
     health = manual.read()
     if as_json:

@@ -12,6 +12,7 @@ from gonio.config import numbers_in
 from gonio.disk import put_picture
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.lab.acquisition.measure import RigChoice, find_rig
+from gonio.lab.by_hand.alignment import HOLDERS
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.calibration import camera_scan, fiducials, intrinsics
 from gonio.lab.calibration import geometry as geometric
@@ -30,7 +31,6 @@ from gonio.shown import apart
 from gonio.typing import Floats, TomlTable
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".dng")
-HOLDERS = ("mirror", "empty")
 QUICK = 0.25
 """Share of the poses."""
 DEVICES: tuple[Device, ...] = ("arms", "light", "camera")

@@ -77,7 +77,9 @@ def free_name(out: Path, what: str, suffix: str) -> Path:
 
 def put(manual: ManualRig, what: str, prompt: str, *, yes: bool, itself: bool = False) -> None:
     """Have the holder hold what is needed: by the rig (which may have done it `itself`), or by the person."""
-    if not (hasattr(manual, "put") and manual.put(what)) and not itself:
+    from gonio.lab.rig.protocols import Puts
+
+    if not (isinstance(manual.rig, Puts) and manual.rig.put(what)) and not itself:
         confirm(prompt, "what lies in the holder", yes=yes)
 
 
@@ -119,11 +121,12 @@ def told_where(manual: ManualRig) -> Iterator[None]:
 
 
 def _where(manual: ManualRig) -> str:
+    from gonio.lab.rig.protocols import Surveys
     from gonio.lab.rig.whereabouts import axes_stand
 
     if manual.entered and hasattr(manual, "left"):
         return str(manual.left())
-    if not hasattr(manual, "survey"):
+    if not isinstance(manual.rig, Surveys):
         return "where the axes stand is not known: look at them"
     return axes_stand(manual.read_arms, manual.description.axes())
 

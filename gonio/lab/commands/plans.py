@@ -211,13 +211,13 @@ def _write_left_out(points: list[Assessed], path: Path) -> int:
     import csv
 
     from gonio.disk import write_whole
-    from gonio.lab.acquisition.plan import ANGLES
+    from gonio.geometry import ANGLES_DEG
 
     lost = [a for a in points if a.pose is None]
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
-    lines.writerow([*ANGLES, "flag", "reason"])
-    lines.writerows([*(repr(getattr(a.point, name)) for name in ANGLES), a.flag, a.reason] for a in lost)
+    lines.writerow([*ANGLES_DEG, "flag", "reason"])
+    lines.writerows([*(repr(getattr(a.point, name)) for name in ANGLES_DEG), a.flag, a.reason] for a in lost)
     with os_error_as(ConfigError, f"--left-out: {path}: cannot be written"):
         write_whole(path, text.getvalue().encode())
     return len(lost)

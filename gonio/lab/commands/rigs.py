@@ -146,11 +146,11 @@ def _check_devices(rig: Rig, rows: list[Row]) -> None:
         found = (
             f"black after {exposure_s:.3g} s, though the lamp says that it is lit: is the lens cap on, or its way shut?"
         )
-    elif level >= 0.98:
+    elif level >= exposure.SATURATED:
         found += ": saturated; dim the lamp, or close the aperture"
     elif level <= 0.02:
         found += ": hardly any light; is the lamp aligned, and the aperture open?"
-    rows.append(("lit frame", found, 0.02 < level < 0.98))
+    rows.append(("lit frame", found, 0.02 < level < exposure.SATURATED))
 
 
 def _small_moves(rig: Rig) -> list[tuple[str, float, float]]:
@@ -252,7 +252,7 @@ def ids(
     """List the servos on a port, at every line speed; or give one another id or speed, for good."""
 
     choice = choice_of(rig)
-    service = _service(choice, "servos")
+    service = _service(choice)
     where = port or service.ports(choice.description)[0]
     with choice.naming():
         found = service.servos(where, console.note)
@@ -297,7 +297,7 @@ def reboot(rig: RigOption, axes: Axes = None) -> None:
     """Restart servos (all, or those of some axes), as after an overload. Their torque goes off: support the arms."""
 
     choice = choice_of(rig)
-    service = _service(choice, "reboot")
+    service = _service(choice)
     with choice.naming():
         done = service.reboot(choice.description, axes or ())
     for name, failure in done.items():
@@ -315,7 +315,7 @@ def home(rig: RigOption, axes: Axes = None) -> None:
     """Find the turn of axes that turn further than their servos count: without AXIS, of those that need it."""
 
     choice = choice_of(rig)
-    service = _service(choice, "home")
+    service = _service(choice)
     try:
         with choice.naming():
             done = service.home(choice.description, axes or (), console.note)
@@ -336,9 +336,10 @@ def home(rig: RigOption, axes: Axes = None) -> None:
         raise DeviceError(f"{choice.description.name}: not homed: {', '.join(bad)}")
 
 
-def _service(choice: RigChoice, method: str) -> RigService:
+def _service(choice: RigChoice) -> RigService:
     """The plugin, where it has a service for servos."""
+    from gonio.lab.rig.protocols import RigService
 
-    if not hasattr(choice.plugin, method):
+    if not isinstance(choice.plugin, RigService):
         raise ConfigError(f'the rig "{choice.source}" has no servos that can be reached by this')
-    return cast("RigService", choice.plugin)
+    return choice.plugin

@@ -15,7 +15,7 @@ import numpy as np
 
 from gonio.disk import read_file
 from gonio.errors import ContradictoryFrame, DamagedFrame, DataError, os_error_as
-from gonio.lab.acquisition.exposure import contradiction, full_scale_dn
+from gonio.lab.acquisition.exposure import USABLE, contradiction, full_scale_dn
 from gonio.lab.acquisition.frame_writer import label_of
 from gonio.lab.acquisition.records import FrameRecord, StepRecord
 from gonio.lab.acquisition.repeats import REPEATED, FramePixels, repeated, some_rows_sha256
@@ -23,7 +23,7 @@ from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import merging, stray_light
 from gonio.lab.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
 from gonio.lab.reduction.geometry_errors import GeometryErrors
-from gonio.lab.reduction.merging import USABLE, Region, Shot, pool, pool_pixels
+from gonio.lab.reduction.merging import Region, Shot, pool, pool_pixels
 from gonio.lab.reduction.step_rates import Reduced, Rejected
 from gonio.lab.rig import Frame, Target, kinematics
 from gonio.lab.rig.calibration_files import known_parameters

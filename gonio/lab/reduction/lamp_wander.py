@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gonio.checks.values import NORMAL_95
 from gonio.typing import Bools, Floats, Ints
 
 WEAKEST = 0.1
@@ -37,8 +38,7 @@ BLOCK = 32
 NODES = 32
 """Times at which errors that neighbouring points share are written out."""
 HELD = 0.95
-"""Probability of an interval of `WIDE` standard uncertainties."""
-WIDE = 1.959964
+"""Probability of an interval of `NORMAL_95` standard uncertainties."""
 LEAST = 1e-4
 """A curve of a smaller weight is left out."""
 
@@ -226,7 +226,7 @@ def _root(curves: list[_Curve], level: Floats, noise: Floats) -> Floats:
 
 
 def _beyond(curves: list[_Curve], level: Floats, known: Floats) -> Floats:
-    """What has to be added to the variance `known` so that `WIDE` standard uncertainties around `level` hold `HELD`."""
+    """What the variance `known` lacks for `NORMAL_95` standard uncertainties around `level` to hold `HELD`."""
     from scipy.special import ndtr
 
     weight = np.array([c.weight for c in curves])
@@ -237,4 +237,4 @@ def _beyond(curves: list[_Curve], level: Floats, known: Floats) -> Floats:
         middle = 0.5 * (low + high)
         short = weight @ (ndtr((middle - off) / u) - ndtr((-middle - off) / u)) < HELD * weight.sum()
         low, high = np.where(short, middle, low), np.where(short, high, middle)
-    return np.asarray(np.sqrt(np.maximum((high / WIDE) ** 2 - known, 0.0)))
+    return np.asarray(np.sqrt(np.maximum((high / NORMAL_95) ** 2 - known, 0.0)))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gonio.lab.acquisition.exposure import SATURATED, USABLE
 from gonio.lab.reduction.dark_signal import Darks
 from gonio.lab.reduction.step_rates import Merged
 from gonio.lab.rig import Target, light_and_camera
@@ -21,8 +22,6 @@ from gonio.typing import Bools, Floats, NDArray
 
 Mask = Bools
 
-SATURATED = 0.98
-"""Raw levels above this are full pixels (`gonio.lab.acquisition.exposure.SATURATED`)."""
 DEVIATIONS = 5.0
 """The neighbours of a pixel that is used lie this many standard deviations of a full pixel below `SATURATED`."""
 FALSE_ALARMS = 1e-3
@@ -302,11 +301,6 @@ def usable(camera: Camera) -> float:
     full = camera.saturation_e
     noise = float(light_and_camera.variance(camera, full, rounding=False))
     return SATURATED - DEVIATIONS * math.sqrt(noise / full**2 + camera.prnu**2)
-
-
-USABLE = 0.95
-"""A frame whose brightest used pixel lies above this fraction of full scale is not used at all: dropping single pixels,
-or frames that are only nearly full, would keep the darker half of the noise."""
 
 
 @dataclass(frozen=True, slots=True)

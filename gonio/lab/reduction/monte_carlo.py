@@ -20,16 +20,16 @@ from operator import attrgetter
 
 import numpy as np
 
+from gonio.checks.values import NORMAL_95
 from gonio.errors import ArgumentError
-from gonio.geometry import Directions
-from gonio.lab.acquisition.plan import ANGLES
+from gonio.geometry import ANGLES_DEG, Directions
 from gonio.lab.acquisition.run import Run
-from gonio.lab.reduction.angle_errors import angle_axes, is_behind, turned_over, zero_uncertainties
+from gonio.lab.reduction.angle_errors import CAUSES, angle_axes, is_behind, turned_over, zero_uncertainties
 from gonio.lab.reduction.angle_sensitivity import NARROWEST, from_above
 from gonio.lab.reduction.brdf import Reduction
 from gonio.lab.reduction.spikes import over_patch, overlap
 from gonio.lab.reduction.step_rates import Reduced
-from gonio.lab.reduction.table import COMMON, DARK, LAMP, PRNU
+from gonio.lab.reduction.table import COMMON, COMPONENTS, DARK, LAMP, PRNU
 from gonio.lab.reduction.values import BandResult
 from gonio.lab.rig import Pose, kinematics
 from gonio.lab.rig.description import RigDescription
@@ -38,19 +38,15 @@ from gonio.typing import ArrayLike, DataFrame, Floats
 
 FEWEST = 100
 """Fewest draws: with fewer the ends of a 95 % interval are not told."""
-COVERAGE = 1.959964
-"""Standard deviations of a normal number's 95 % interval."""
 KEPT = 2.5e7
 """Numbers of all draws that are kept: 200 MB."""
 AT_ONCE = 50
 """Draws that are computed together."""
 STEP = 1e-4
 """[rad]: of the differences that tell how directions follow the axes, which they do smoothly."""
-FORMULA = ("s_theta_i_zero", "s_theta_r_zero", "s_tilt_zero", "s_azimuth_zero", "s_spin_zero", *COMMON, *DARK, *PRNU)
+FORMULA = (*CAUSES.values(), *COMMON, *DARK, *PRNU)
 """Columns whose causes are drawn as inputs."""
-COMPUTED = (
-    "noise", "dark", "prnu", "encoder", "zeros_even", "spike_blur", "coarse_steps", "region", "visits", "geometry",
-)  # fmt: skip
+COMPUTED = {*COMPONENTS} - {"beam"}
 """Parts of `u_random` that a draw computes or takes by name; others are drawn by their standard uncertainties."""
 
 
@@ -72,7 +68,7 @@ class DrawsCheck:
     def archive(self) -> bytes:
         """All draws as an npz file: `brdf` (draws, values), and the angles and wavelengths of the values."""
         buffer = io.BytesIO()
-        columns = {name: self.values[name].to_numpy(float) for name in (*ANGLES, "wavelength_nm")}
+        columns = {name: self.values[name].to_numpy(float) for name in (*ANGLES_DEG, "wavelength_nm")}
         np.savez_compressed(buffer, brdf=self.every, **columns)  # type: ignore[arg-type]
         return buffer.getvalue()
 
@@ -138,11 +134,11 @@ def check(
     value, stated = table["brdf"].to_numpy(dtype=float), table["u_brdf"].to_numpy(dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         delta = 0.5 * 10.0 ** np.floor(np.log10(stated))
-        departs = np.maximum(abs(value - COVERAGE * stated - low), abs(value + COVERAGE * stated - high))
+        departs = np.maximum(abs(value - NORMAL_95 * stated - low), abs(value + NORMAL_95 * stated - high))
     # an end of the interval scatters by sqrt(p (1 - p) / draws) over the density there
-    unsure = math.sqrt(0.025 * 0.975 / draws) / (math.exp(-0.5 * COVERAGE**2) / math.sqrt(2 * math.pi)) * stated
+    unsure = math.sqrt(0.025 * 0.975 / draws) / (math.exp(-0.5 * NORMAL_95**2) / math.sqrt(2 * math.pi)) * stated
     agrees = np.where(departs <= delta, "yes", np.where(departs > delta + 2.0 * unsure, "no", "undecided"))
-    out = table[[*ANGLES, "wavelength_nm", "brdf", "u_brdf"]].assign(
+    out = table[[*ANGLES_DEG, "wavelength_nm", "brdf", "u_brdf"]].assign(
         mc_mean=mean, mc_u=u, mc_low=low, mc_high=high, delta=delta, departs=departs
     )
     out["agrees"] = pd.Series(np.where(good, agrees, "").tolist(), dtype=str)

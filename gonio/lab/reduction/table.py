@@ -33,10 +33,9 @@ import numpy as np
 
 import gonio
 from gonio import geometry
-from gonio.checks.values import values_of
+from gonio.checks.values import CLIPPED, values_of
 from gonio.checks.verdicts import Check, FramesTaken, VisitsOfBand, of_run, of_values
-from gonio.geometry import SAME_AZIMUTH, Directions, half_angle_of_cone
-from gonio.lab.acquisition.plan import ANGLES
+from gonio.geometry import ANGLES_DEG, SAME_AZIMUTH, Directions, half_angle_of_cone
 from gonio.lab.acquisition.resuming import unfinished
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import light_and_lens, reference_table, white_reference
@@ -49,8 +48,6 @@ from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.regions import filling
 from gonio.typing import Bools, DataFrame, Floats, NDArray
 
-CLIPPED = 1e-3
-"""Dark frames with a larger part of their pixels at 0 DN are cut off there."""
 DAMAGED = "missing or damaged and are left out"
 MIRROR = math.radians(0.1)
 """A nominal direction that is nearer to the mirror's is it: plans are rounded to hundredths of a degree [rad]."""
@@ -75,7 +72,7 @@ def assemble(frames: RunFrames, results: list[BandResult]) -> DataFrame:
     frame, flags = _rows(frames, results, of_angles=bool(chosen))
     behind = np.repeat(frames.plan["theta_r_deg"].to_numpy(dtype=float) > 90.0, len(results))
     if behind.any():
-        frame.insert(len(ANGLES) + 2, "side", np.where(behind, "transmission", "reflection").astype(object))
+        frame.insert(len(ANGLES_DEG) + 2, "side", np.where(behind, "transmission", "reflection").astype(object))
         notes = [
             *notes,
             "transmission is measured against the white reference in reflection: its BTDF is that of the sample as it "
@@ -126,14 +123,14 @@ def _rows(frames: RunFrames, results: list[BandResult], *, of_angles: bool) -> t
         name for name in (*COMMON, *DARK, *PRNU, *zeros, *GEOMETRY, *LAMP, *POLARISATION, *LIGHT) if name in added
     ]
     causes += [name for name in added if name not in causes]
-    numbers = [*ANGLES, "brdf", "u_brdf", "u_random", *causes, *(["u_angles"] if of_angles else [])]
+    numbers = [*ANGLES_DEG, "brdf", "u_brdf", "u_random", *causes, *(["u_angles"] if of_angles else [])]
     values = np.full((len(numbers), len(plan), len(results)), math.nan)
-    values[: len(ANGLES)] = plan[list(ANGLES)].to_numpy(dtype=float).T[..., None]
+    values[: len(ANGLES_DEG)] = plan[list(ANGLES_DEG)].to_numpy(dtype=float).T[..., None]
     flags = np.empty((len(plan), len(results)), dtype=object)
     planned = plan["flag"].tolist()
     for k, result in enumerate(results):
         rows, columns = result.rows, result.values.columns()
-        columns |= dict(zip(ANGLES, angles_deg([point.directions for point in result.points]), strict=True))
+        columns |= dict(zip(ANGLES_DEG, angles_deg([point.directions for point in result.points]), strict=True))
         measured = set(rows.tolist())
         flags[:, k] = [
             flag or result.flags.get(point, "") or ("" if point in measured else "not_measured")
@@ -144,8 +141,8 @@ def _rows(frames: RunFrames, results: list[BandResult], *, of_angles: bool) -> t
             for column, name in zip(values, numbers, strict=True):
                 column[rows[good], k] = columns[name][good]
     frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
-    frame.insert(len(ANGLES), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
-    frame.insert(len(ANGLES) + 1, "polarisation", "unpolarised")
+    frame.insert(len(ANGLES_DEG), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
+    frame.insert(len(ANGLES_DEG) + 1, "polarisation", "unpolarised")
     frame["flag"] = pd.Series(flags.ravel().tolist(), dtype=str)
     return frame, flags
 
@@ -402,7 +399,7 @@ def assemble_budget(table: DataFrame, bands: list[BandResult]) -> DataFrame:
     import pandas as pd
 
     causes = [name for name in table.columns if name.startswith("s_")]
-    kept = [*ANGLES, "wavelength_nm", *(["side"] if "side" in table.columns else []), "brdf", "u_brdf"]
+    kept = [*ANGLES_DEG, "wavelength_nm", *(["side"] if "side" in table.columns else []), "brdf", "u_brdf"]
     parts = list(dict.fromkeys([*COMPONENTS, *(name for band in bands for name in band.values.own)]))
     rows, numbers = len(table), [*parts, "nu_eff", "coarse", "cone_difference"]
     values = np.full((len(numbers), rows), math.nan)

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gonio.checks.values import SIGNIFICANCE
 from gonio.lab.reduction import lamp_wander
 from gonio.typing import Bools, Floats
 
-REJECTED = 0.01
-"""A straight line whose chi-square is rarer than this does not describe the visits."""
 SAME_TIME_S = 1e-3
 """Visits closer than this count as one time: no drift is told from them."""
 SMOOTH = 4
@@ -206,7 +205,7 @@ def _rejected(chi_square: float, freedom: int) -> bool:
     """Whether a chi-square is rarer than noise allows; nothing is tested without degrees of freedom."""
     from scipy.special import chdtrc  # of chi-square, beyond
 
-    return freedom > 0 and bool(chdtrc(freedom, chi_square) < REJECTED)
+    return freedom > 0 and bool(chdtrc(freedom, chi_square) < SIGNIFICANCE)
 
 
 def notes(fitted: Level, visits: int, unusable: list[str]) -> list[str]:

@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from gonio.compiled import njit
+from gonio.compiled import FAST, njit
 
 # No term may be moved between operations (reassoc), and NaN must live: it marks pixels that see nothing.
-FAST = {"contract", "arcp", "nsz"}
 
 
 @njit(error_model="numpy", nogil=True, fastmath=FAST)

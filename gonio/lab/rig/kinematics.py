@@ -21,7 +21,7 @@ and z of the lab (docs/mechanics.md).
 
 import math
 from collections import OrderedDict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -41,7 +41,7 @@ CONVERGED = 1e-9
 """Directions that differ by less [rad] are the same."""
 DIRECTIONS = 4
 """Numbers that two directions are made of: a rig with as many axes can show all of them."""
-AXES = ("light", "camera", "tilt", "spin", "azimuth")
+AXES = tuple(field.name for field in fields(Pose))
 FLAT = 1e-6
 """Combinations of axes that turn the directions less than this, per radian, are left alone."""
 

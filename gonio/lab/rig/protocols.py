@@ -216,18 +216,39 @@ class Surveys(Protocol):
         """
 
 
-class ByHand(OpensSome, Holds, Jogs, TellsHealth, Surveys, Protocol):
-    """What a rig may offer beside `Rig`, so that a person can work on one device while others are missing.
-
-    Every method is optional by itself, and is looked for by its name; those of the bases are capabilities with a
-    protocol each. Without `only` a rig opens everything.
-    """
+@runtime_checkable
+class Puts(Protocol):
+    """Has something put into its holder."""
 
     def put(self, what: str) -> bool:
         """Have a "mirror", nothing ("empty") or the "sample" put into the holder, for an alignment.
 
         False where only a person can do that, who is then asked.
         """
+
+
+@runtime_checkable
+class Dims(Protocol):
+    """A lamp with levels."""
+
+    def dim(self, level: float | None) -> None:
+        """Shine at a fraction of the largest output from the next `on`; None: at the rig file's level."""
+
+
+@runtime_checkable
+class Monitors(Protocol):
+    """A lamp with a monitor."""
+
+    def monitor(self) -> float | None:
+        """The reading of the monitor, or None; asked after each frame where `lamp.monitor = true`."""
+
+
+class ByHand(OpensSome, Holds, Jogs, TellsHealth, Surveys, Puts, Protocol):
+    """What a rig may offer beside `Rig`, so that a person can work on one device while others are missing.
+
+    Every method is optional by itself, and is looked for by its name; those of the bases are capabilities with a
+    protocol each. Without `only` a rig opens everything.
+    """
 
     def left(self) -> str:
         """After it was left: what is true of its lamp and its axes, as read back, for a message."""
@@ -263,10 +284,11 @@ class Homed:
     """How often."""
 
 
+@runtime_checkable
 class RigService(Protocol):
     """What a rig's plugin may offer beside `open`: work on servos before the rig can be opened, or that opening spoils.
 
-    It is found by its methods; a plugin without them has no such devices.
+    A plugin that lacks one of these methods has no such devices.
     """
 
     def ports(self, description: RigDescription | None = None) -> list[str]:

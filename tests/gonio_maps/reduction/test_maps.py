@@ -13,7 +13,7 @@ import pytest
 from gonio_maps.files import MapFile, Parts, Tile
 from gonio_maps.reduction.map_planes import Planes
 
-from gonio.lab.acquisition.plan import ANGLES
+from gonio.geometry import ANGLES_DEG
 from gonio.lab.acquisition.run import Run
 from gonio.lab.rig.kinematics import view
 from gonio.measurement import read
@@ -88,7 +88,7 @@ def test_directions_are_each_pixels_own(folder: Path) -> None:
         row, col = 20, 70
         spot = np.array([found.x_mm[col], found.y_mm[row], 0.0])
         of_pixel = found.table(row, col)
-    angles = [each[list(ANGLES)].to_numpy(dtype=float) for each in (table, of_pixel)]
+    angles = [each[list(ANGLES_DEG)].to_numpy(dtype=float) for each in (table, of_pixel)]
     for centre, here in zip(*angles, strict=True):
         for k in (0, 2):
             (theta, phi), (own_theta, own_phi) = centre[k : k + 2], here[k : k + 2]

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gonio.errors import ConfigError
-from gonio.lab.acquisition.plan import ANGLES, Plan, Point, assess, beside, said_beside
+from gonio.geometry import ANGLES_DEG
+from gonio.lab.acquisition.plan import Plan, Point, assess, beside, said_beside
 from gonio.lab.acquisition.plan_tables import Range
 from gonio.lab.acquisition.schedule import schedule
 from gonio.lab.rig.description import ArmAxis, Arms, Geometry, Holder, Reference
@@ -21,7 +22,7 @@ def plan(tmp_path: Path, text: str) -> object:
 
 
 def angles(found: object) -> list[tuple[float, ...]]:
-    return [tuple(getattr(p, name) for name in ANGLES) for p in found.points]  # type: ignore[attr-defined]
+    return [tuple(getattr(p, name) for name in ANGLES_DEG) for p in found.points]  # type: ignore[attr-defined]
 
 
 def test_signed_angles_become_canonical(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gonio.lab.acquisition.plan_tables import ANGLES
+from gonio.geometry import ANGLES_DEG
 from tests.gonio.numpy_rig import plan_in
 from tests.places import ROOT
 
@@ -14,7 +14,7 @@ PLANS = re.findall(r"^```toml\n(.*?)^```", (ROOT / "docs" / "planning.md").read_
 
 @pytest.mark.parametrize("number", range(len(PLANS)))
 def test_every_plan_of_the_page_is_one(number: int, tmp_path: Path) -> None:
-    (tmp_path / "points.csv").write_text(",".join(ANGLES) + "\n45,30,45,210\n")
+    (tmp_path / "points.csv").write_text(",".join(ANGLES_DEG) + "\n45,30,45,210\n")
     plan = plan_in(tmp_path, PLANS[number])
     assert plan.points
     said = re.search(r"or count = (\d+):", PLANS[number])

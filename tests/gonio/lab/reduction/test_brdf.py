@@ -12,8 +12,7 @@ import pandas as pd
 import pytest
 
 from gonio import geometry, measurement
-from gonio.geometry import Directions
-from gonio.lab.acquisition.plan import ANGLES
+from gonio.geometry import ANGLES_DEG, Directions
 from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import brdf as radiometry
@@ -41,7 +40,7 @@ def glossy(d: Directions) -> float:
 
 
 def truth(table: pd.DataFrame, brdf: Any) -> Floats:
-    return np.array([brdf(Directions(*np.radians(row))) for row in table[list(ANGLES)].to_numpy()])
+    return np.array([brdf(Directions(*np.radians(row))) for row in table[list(ANGLES_DEG)].to_numpy()])
 
 
 class Exact(Maker):
@@ -298,7 +297,7 @@ def test_a_reference_known_by_a_table(tmp_path: Path) -> None:
     """40 % brighter toward the normal than at the visits' angle: the value at the visits' angle counts."""
     rows = pd.DataFrame(
         [(0.0, 0.0, float(r), 180.0, 0.45 - 0.003 * r) for r in range(0, 81, 10)],
-        columns=[*ANGLES, "brdf"],
+        columns=[*ANGLES_DEG, "brdf"],
     )
     rows = rows.assign(wavelength_nm=550.0, polarisation="unpolarised", u_brdf=np.nan, u_random=np.nan, flag="")
     measurement.write(rows[list(measurement.COLUMNS)], tmp_path / "white.csv")

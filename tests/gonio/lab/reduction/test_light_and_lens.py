@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gonio.lab.acquisition.exposure import USABLE
 from gonio.lab.reduction import light_and_lens, merging, stray_light
 from gonio.lab.reduction.light_and_lens import FACET, _curvatures, diattenuation, polarisation_bound
 from gonio.lab.rig import Pose
@@ -120,6 +121,6 @@ def test_a_hot_pixel_is_one_by_its_part_of_the_longest_frame_or_by_a_full_dark_f
     from gonio.lab.reduction.merging import HOT
 
     full = 10_000.0
-    for longest_s, dark_s, limit in ((2.0, 1e-3, HOT * full / 2.0), (1e-3, 4.0, merging.USABLE * full / 4.0)):
+    for longest_s, dark_s, limit in ((2.0, 1e-3, HOT * full / 2.0), (1e-3, 4.0, USABLE * full / 4.0)):
         rate = 5.0 + np.array([0.0, 0.0, 0.0, 0.99 * limit, 1.01 * limit])
         assert merging._hot(rate, longest_s, dark_s, full).tolist() == [False] * 4 + [True]
