@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from gonio import materials, shown
+from gonio.checks.values import SIGNIFICANCE
 from gonio.errors import ArgumentError
 from gonio.geometry import Directions
 from gonio.models import Corrected
@@ -20,7 +21,7 @@ from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelen
 from gonio_analysis.fitting.misfit import Misfit
 from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest, with_misfit
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import SIGNIFICANCE, Problem
+from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.propagation import points_around
 from gonio_analysis.fitting.search import STEP, derivatives
 from gonio_analysis.fitting.unnoticed import unnoticed

@@ -17,13 +17,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from gonio.checks.values import SIGNIFICANCE
 from gonio.progress import Pace, Say, silent
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.fit import FitResult, at_solution, elsewhere, fit, known_by_blocks, remarks
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.misfit import estimated_tau
 from gonio_analysis.fitting.observations import Observations, observations
-from gonio_analysis.fitting.problem import SIGNIFICANCE, FitRequest, Problem, pose
+from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 from gonio_analysis.fitting.search import LONG, covariance
 from gonio_analysis.fitting.shared_geometry import _Task
 from gonio_analysis.fitting.solution import ROUNDING, residuals_on_log_scale

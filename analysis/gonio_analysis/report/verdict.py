@@ -8,11 +8,11 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from gonio.checks.symmetry import Pairs
+from gonio.checks.values import SIGNIFICANCE
 from gonio.shown import interval
 from gonio_analysis.fitting.energy import too_much
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.objective import DESCRIPTIONS
-from gonio_analysis.fitting.problem import SIGNIFICANCE
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.unnoticed import SMOOTH
 from gonio_analysis.report.blocks import Block, Notes, Paragraph, Text, table, term

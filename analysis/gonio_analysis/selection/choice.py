@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from gonio.checks.values import SIGNIFICANCE
 from gonio.errors import ConfigError, DataError
 from gonio.models.parameters import Ior, Values
 from gonio.progress import QUIET_S, Say, duration
@@ -22,7 +23,7 @@ from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import SIGNIFICANCE, pose
+from gonio_analysis.fitting.problem import pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
 from gonio_analysis.selection.judging import (
     DECISIVE,

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from gonio import shown
-from gonio.checks.values import Rows
+from gonio.checks.values import SIGNIFICANCE, Rows
 from gonio.geometry import Directions
 from gonio.models.parameters import Ior
 from gonio.progress import Say, silent
@@ -19,7 +19,7 @@ from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.misfit import groupings
 from gonio_analysis.fitting.objective import on_log_scale, smallest
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import SIGNIFICANCE, FitRequest
+from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.profile_likelihood import Near
 from gonio_analysis.selection.regions import WorstRegion, farthest, incidences, worst
 

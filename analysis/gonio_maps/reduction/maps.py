@@ -156,15 +156,14 @@ def _points(run: Run, found: Reduction) -> tuple[list[MapPoint], npt.NDArray[np.
     steps = {step.point: step for step in run.steps() if step.kind == "point" and not step.flag}
     every = []
     for k, result in enumerate(found.bands):
-        levels = result.level.at(np.array([point.time_s for point in result.points]))
-        for point, level in zip(result.points, levels.tolist(), strict=True):
+        for point, level in zip(result.measured.points, result.measured.level.tolist(), strict=True):
             row = (point.point or 0) * count + k
             if not flags[row]:
                 every.append((row, steps[point.point], result.band, point, level))
     every.sort(key=lambda one: one[0])
     points = [
-        MapPoint(number, step, band, kinematics.view(run.description, step.pose), point.rate, level, point.of_lamp)
-        for number, (_, step, band, point, level) in enumerate(every)
+        MapPoint(number, s, band, kinematics.view(run.description, s.pose), point.rate, level, point.merged.of_lamp)
+        for number, (_, s, band, point, level) in enumerate(every)
     ]
     return points, np.array([row for row, *_ in every], dtype=np.intp)
 
@@ -179,7 +178,7 @@ def _u_points(found: Reduction, points: Sequence[MapPoint], rows: npt.NDArray[np
     parts = found.budget.iloc[rows]
     cancel = (parts[list(OF_REGION)].to_numpy(dtype=float) ** 2).sum(axis=1)
     brdf, u = (found.table.iloc[rows][name].to_numpy(dtype=float) for name in ("brdf", "u_random"))
-    lamp = np.array([point.of_lamp / point.level**2 for point in points])
+    lamp = np.array([point.merged.of_lamp / point.level**2 for point in points])
     return np.asarray(np.sqrt(np.maximum(u**2 - cancel, 0.0) + lamp) / abs(brdf))
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from gonio_analysis.curves.in_plane import evenly
-from gonio_analysis.fitting.problem import SIGNIFICANCE
 from gonio_analysis.report import files, frame, html
 from gonio_analysis.report.blocks import (
     Block,
@@ -39,6 +38,7 @@ from gonio_analysis.report.section import parts
 from gonio_analysis.report.text import counted, number, percent, with_u
 
 from gonio import lost
+from gonio.checks.values import SIGNIFICANCE
 from gonio.errors import ConfigError
 from gonio.geometry import Directions
 from gonio.threads import in_threads

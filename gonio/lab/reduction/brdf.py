@@ -126,7 +126,9 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     points = [step for step in steps if isinstance(step, Reduced) and step.point is not None]
     visits = [step for step in steps if isinstance(step, Reduced) and step.point is None]
     rejected = [step for step in steps if isinstance(step, Rejected)]
-    fitted, reference = level(frames.run, np.array([point.time_s for point in points]), visits, band)
+    measured = MeasuredBand(
+        frames, band, points, visits, *level(frames.run, np.array([point.time_s for point in points]), visits, band)
+    )
     # curves on the two sides of the sample are independent; lobes behind it follow the direction straight through, as
     # those before it follow the mirror direction
     behind = np.array([is_behind(point.directions) for point in points], dtype=bool)
@@ -135,25 +137,20 @@ def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected])
     of_sides = []
     for there, at in zip(sides, rows, strict=True):
         group = [replace(points[k], directions=turned_over(points[k].directions, there)) for k in at]
-        of_sides.append(_values(MeasuredBand(frames, band, group, visits[0], fitted, reference.u_rel)))
-    freedom = sum(step.frames - 1 for step in (*points, *visits))
+        of_sides.append(_values(replace(measured, points=group)))
+    merged = [step.merged for step in (*points, *visits)]
+    freedom = sum(step.frames - 1 for step in merged)
     left_out = sum(step.left_out for step in steps)
     return BandResult(
-        band=band,
-        points=points,
-        seen=visits,
+        measured=measured,
         values=joined(of_sides, rows),
         flags=frames.flags | {step.point: step.flag for step in rejected if step.point is not None},
-        level=fitted,
-        reference_brdf=reference.brdf,
-        u_reference_rel=reference.u_rel,
-        prnu=frames.prnu,
         unusable=frames.lost_visits + [step.flag for step in rejected if step.point is None],
-        scatter=sum(step.chi_square for step in (*points, *visits)) / max(freedom, 1),
+        scatter=sum(step.chi_square for step in merged) / max(freedom, 1),
         freedom=freedom,
-        frames=sum(step.frames for step in (*points, *visits)) + left_out,
+        frames=sum(step.frames for step in merged) + left_out,
         left_out=left_out,
-        merged=_merged(frames, band, points, visits),
+        merged=_merged(measured),
     )
 
 
@@ -197,35 +194,28 @@ def _of_channel(measured: MeasuredBand, effects: Floats) -> Floats:
     return out.reshape(len(effects), len(channels) * effects.shape[1])
 
 
-def _merged(frames: RunFrames, band: Band, points: list[Reduced], visits: list[Reduced]) -> JsonObject:
+def _merged(measured: MeasuredBand) -> JsonObject:
     """What merging by pixels left out, in a band; nothing where whole frames were merged."""
-    if not frames.description.acquisition.by_pixels:
+    if not measured.description.acquisition.by_pixels:
         return {}
-    every = [*points, *visits]
+    every = [step.merged for step in (*measured.points, *measured.visits)]
     return {
-        "band": band.name,
-        "noise": "known" if noise_is_known(frames.description) else "poisson",
+        "band": measured.band.name,
+        "noise": "known" if noise_is_known(measured.description) else "poisson",
         "false_alarms_per_step": FALSE_ALARMS,
         "cosmic_hits": sum(step.hits for step in every),
-        "cosmic_hits_in_darks": frames.dark_hits,
-        "cosmic_hits_of_points": {str(point.point): point.hits for point in points if point.hits},
+        "cosmic_hits_in_darks": measured.frames.dark_hits,
+        "cosmic_hits_of_points": {str(p.point): p.merged.hits for p in measured.points if p.merged.hits},
         "hot_pixels": max((step.hot for step in every), default=0),
         "saturated_fraction": max((step.saturated for step in every), default=0.0),
     }
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceBand:
-    """What is known of the reference in one band."""
+def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tuple[white_reference.Level, float, float]:
+    """The signal per unit BRDF at some times; the reference's BRDF [1/sr], and its relative standard uncertainty.
 
-    brdf: float
-    """Mean over the visits [1/sr]; 1 where the lamp itself is the reference."""
-    u_rel: float
-    """Relative standard uncertainty of that."""
-
-
-def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tuple[white_reference.Level, ReferenceBand]:
-    """The signal per unit BRDF at some times, and the reference's BRDF; errors as of `reduce_in_parts`."""
+    Errors are those of `reduce_in_parts`.
+    """
     description, reference = run.description, run.description.reference
     if not visits:
         raise DataError(
@@ -257,7 +247,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2
     times = np.array([visit.time_s for visit in visits])
     fitted = white_reference.fit(times, rates / known, variances / known**2, wanted_s, run.lit_anew_s)
-    return fitted, ReferenceBand(float(known.mean()), u_rel)
+    return fitted, float(known.mean()), u_rel
 
 
 def _responsivities(measured: MeasuredBand) -> tuple[Floats, Floats]:

@@ -388,26 +388,26 @@ class RunFrames:
             return Rejected(step.point, "unmonitored")
         if not taken:
             return Rejected(step.point, "not_measured")
+        darks, shots = self._darks[region.target], taken
         if self.description.acquisition.by_pixels:
-            pooled = pool_pixels(self.description, region, taken, self._darks[region.target])
+            merged = pool_pixels(self.description, region, shots, darks)
         else:
             shots = [shot for shot in taken if shot.peak < USABLE]
-            darks_s = self._darks[region.target].exposures_s
-            pooled = pool(self.description, region, shots, darks_s) if shots else None
-        if pooled is None:
+            merged = pool(self.description, region, shots, darks.exposures_s) if shots else None
+        if merged is None:
             return Rejected(step.point, "saturated", len(taken))
-        of_darks = pooled.of_darks
+        of_darks, weights = merged.of_darks, merged.frame_weights
         reference = self.reference.get(band.channel)
         share = self._patterns[band.channel].of(region.roi) if region.target == "sample" else np.zeros(PATTERNS)
         shared = np.outer(of_darks, share)
-        variance = pooled.variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0)
+        variance = merged.variance + max(float(np.sum(of_darks**2) - np.sum(shared**2)), 0.0)
         return Reduced(
-            **pooled.named() | {"variance": variance},
+            merged=replace(merged, variance=variance),
             dark=shared,
-            time_s=pooled.time_s,
-            left_out=len(taken) - pooled.frames,
+            time_s=float(weights @ [shot.time_s for shot in shots]),
+            left_out=len(taken) - merged.frames,
             pixels=region.lit.count,
-            by_camera=pooled.by_camera,
+            by_camera=weights @ np.array([shot.by_camera for shot in shots]),
             shared=region.lit.shared(reference) if reference is not None else 0,
             by_pixels=self._by_pixels(region, band.channel),
             directions=kinematics.directions(self.description, step.pose),

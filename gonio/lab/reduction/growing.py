@@ -59,7 +59,7 @@ def of_rates(
     run: Run, rate: Floats, time_s: Floats, directions: Directions, visits: Sequence[Reduced], band: Band
 ) -> SoFar:
     """`so_far` of points of which only this is kept: their rates [e-/s], times and directions."""
-    fitted, reference = brdf.level(run, time_s, list(visits), band)
+    fitted, _, u_reference = brdf.level(run, time_s, list(visits), band)
     level = fitted.at(time_s)
     value = rate / level
     return SoFar(
@@ -69,5 +69,5 @@ def of_rates(
         level=level,
         brdf=value,
         u_visits=value * fitted.extra(time_s) / level,
-        common=fitted.changes(value, time_s, reference.u_rel),
+        common=fitted.changes(value, time_s, u_reference),
     )

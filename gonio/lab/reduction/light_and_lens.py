@@ -164,7 +164,7 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
     waves = np.array([results[k].band.centre_nm for k in order])
     names = ("s_wavelength", "s_bandwidth") if len(results) > 2 else ("s_wavelength",)
     for result in results:
-        result.values.common |= {name: np.zeros(len(result.points)) for name in names}
+        result.values.common |= {name: np.zeros(len(result.rows)) for name in names}
     for row, values in zip(points.tolist(), brdf[:, order], strict=True):
         there = np.flatnonzero(np.isfinite(values))
         if there.size < 2:

@@ -7,7 +7,7 @@ Also here are the frames of a point as one rate, with its variance.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,16 +76,6 @@ class Stack:
     """Pixels whose dark signal says that they are not to be used, shape (N,)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MergedPixels(Merged):
-    """The rate of a region, with the variance of the pixels' noise and lamp noise, and how it came from the frames."""
-
-    shares: Floats
-    """Change of the rate with each pixel's rate in each frame, shape (F, N): the rate is linear in these."""
-    frame_weights: Floats
-    """How much each frame counts, shape (F,); their sum is 1."""
-
-
 def noise_is_known(description: RigDescription) -> bool:
     """Whether the camera's noise is known: a calibration of it is in use, or the rig file gives a read noise.
 
@@ -94,7 +84,7 @@ def noise_is_known(description: RigDescription) -> bool:
     return description.camera.read_noise_e > 0 or any(k.kind == "camera" for k in description.calibration.known)
 
 
-def merge(description: RigDescription, stack: Stack) -> MergedPixels | None:
+def merge(description: RigDescription, stack: Stack) -> Merged | None:
     """The maximum-likelihood rate of a region; None where some of its pixels are too bright in every frame.
 
     Every pixel has a rate of its own, and every frame a level of the lamp. Weights, and the choice of what is used,
@@ -174,7 +164,7 @@ class _Fit:
         brighter = self._shot(np.maximum(others - self.expected, 0.0) * t)
         return np.asarray(known & (more > bound(self.charge_variance + brighter + t**2 / safe, limit)))
 
-    def merged(self, hits: int, saturated: float) -> MergedPixels:
+    def merged(self, hits: int, saturated: float) -> Merged:
         stack, p = self._stack, self.expected
         count = int(np.count_nonzero(self.alive))
         take = np.where(self.alive, stack.per_weight, 0.0) / count
@@ -192,7 +182,7 @@ class _Fit:
         variance += self._alike_rounding(shares, rate / alike if alike else 0.0, count)
         frame_weights = (shares / np.where(stack.per_weight > 0, stack.per_weight, 1.0)).sum(axis=1)
         chi_square, frames = self._scatter()
-        return MergedPixels(
+        return Merged(
             rate=rate,
             variance=variance,
             of_lamp=of_lamp,
@@ -338,25 +328,14 @@ class Shot:
     """Their raw levels, as fractions of full scale."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pooled(Merged):
-    """The merged frames of a step, with what the dark frames and the camera do to their rate."""
-
-    time_s: float
-    of_darks: Floats
-    """Change of the rate for one standard deviation of the mean of the shorter and of the longer darks."""
-    by_camera: Floats
-    """Derivatives of the rate by `camera_parameters`."""
-
-
-def pool(description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats) -> Pooled:
+def pool(description: RigDescription, region: Region, shots: list[Shot], dark_exposures_s: Floats) -> Merged:
     """The merged rate of a point's frames [e-/s], and what goes with it.
 
     Weights come from the pooled rate, not from each frame's own: a frame that is dark by chance gets no larger weight.
     """
     camera, of_lamp = description.camera, description.lamp.frame_noise
     exposure = np.array([shot.exposure_s for shot in shots])
-    rates, times = np.array([shot.rate for shot in shots]), np.array([shot.time_s for shot in shots])
+    rates = np.array([shot.rate for shot in shots])
     count = region.per_weight.size
     mean_1, mean_2 = float(np.mean(region.per_weight)), float(np.mean(region.per_weight**2))
     dark = light_and_camera.variance(camera, camera.dark_current_e_per_s * exposure, rounding=False)
@@ -377,19 +356,18 @@ def pool(description: RigDescription, region: Region, shots: list[Shot], dark_ex
     lines = np.array([shot.leverage for shot in shots])
     of_darks = np.zeros(2)
     of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
-    return Pooled(
+    return Merged(
         rate=pooled,
         variance=float(1.0 / np.sum(1.0 / variances)),
         of_lamp=float(np.sum((weights * of_lamp * max(pooled, 0.0)) ** 2)),
-        time_s=float(np.sum(weights * times)),
         chi_square=float(np.sum((rates - pooled) ** 2 / variances)),
-        of_darks=of_darks,
-        by_camera=weights @ np.array([shot.by_camera for shot in shots]),
         frames=len(shots),
+        frame_weights=weights,
+        of_darks=of_darks,
     )
 
 
-def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], darks: Darks) -> Pooled | None:
+def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], darks: Darks) -> Merged | None:
     """The frames of a point, merged pixel by pixel (`merging.merge`); None where pixels saturate in every frame.
 
     Where the noise of the camera is not known, frames that scatter more than photons say make the variance larger.
@@ -422,11 +400,8 @@ def pool_pixels(description: RigDescription, region: Region, shots: list[Shot], 
     wider = 1.0
     if not noise_is_known(description) and merged.frames > 1:
         wider = max(1.0, merged.chi_square / (merged.frames - 1))
-    return Pooled(
-        **merged.named() | {"variance": merged.variance * wider, "of_lamp": merged.of_lamp * wider},
-        time_s=float(merged.frame_weights @ [shot.time_s for shot in acquired]),
-        of_darks=of_darks,
-        by_camera=merged.frame_weights @ np.array([shot.by_camera for shot in acquired]),
+    return replace(
+        merged, variance=merged.variance * wider, of_lamp=merged.of_lamp * wider, shares=None, of_darks=of_darks
     )
 
 

@@ -152,13 +152,13 @@ class _Inputs:
     """The inputs of one band with their distributions, and the values as a function of them."""
 
     def __init__(self, description: RigDescription, goals: Directions, band: BandResult, columns: Floats) -> None:
-        self._points, self._visits, self._level = band.points, band.seen, band.level
+        self._points, self._visits, self._level = band.measured.points, band.measured.visits, band.measured.fitted
         of = band.values
         self._own, self._lobes, self._columns = of.own, of.lobes, columns
         self._geometry_slopes = of.of_readings["geometry_slopes"]
         of_reference = abs(of.common["s_reference"] / np.where(of.brdf != 0, of.brdf, np.inf))
         self._u_rel = float(np.max(of_reference, initial=0.0))
-        self._prnu = band.prnu
+        self._prnu = band.measured.frames.prnu
         self._under = filling(description) == "under"
         self._cones = (
             math.radians(description.lamp.half_angle_deg),

@@ -1,7 +1,8 @@
 """What a step's frames come to in a band: a rate, or why there is none."""
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from gonio.geometry import Directions
 from gonio.lab.rig import Pose
@@ -22,6 +23,13 @@ class Merged:
     """Chi-square of the frames around their mean."""
     frames: int
     """How many are used."""
+    frame_weights: Floats
+    """How much each of these counts; their sum is 1."""
+    shares: Floats | None = None
+    """Change of the rate with each pixel's rate in each frame, shape (frames, pixels), until what the dark frames do to
+    it is known; where frames are merged by pixels."""
+    of_darks: Floats = field(default_factory=lambda: np.zeros(2))
+    """Change of the rate for one standard deviation of the mean of the shorter and of the longer dark frames."""
     hits: int = 0
     """Pixels of single frames left out as hits of cosmic radiation; where frames are merged by pixels."""
     hot: int = 0
@@ -29,15 +37,12 @@ class Merged:
     saturated: float = 0.0
     """The part of all pixels of all frames that was left out as too bright."""
 
-    def named(self) -> dict[str, Any]:
-        """These values by their names."""
-        return {one.name: getattr(self, one.name) for one in fields(Merged)}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reduced(Merged):
-    """The frames of one step and band, merged to a rate."""
+class Reduced:
+    """The frames of one step and band, merged to a rate; where they look, and what that shares with other steps."""
 
+    merged: Merged
     dark: Floats
     """Change of the rate for one standard deviation of the noise of the shorter and of the longer dark frames in each
     of the patterns that points share (`dark_signal.Patterns`), shape (2, n); zero for a visit to the reference."""
@@ -57,6 +62,16 @@ class Reduced(Merged):
     pose: Pose
     point: int | None
     """Row of the plan; None for a visit to the reference."""
+
+    @property
+    def rate(self) -> float:
+        """[e-/s]"""
+        return self.merged.rate
+
+    @property
+    def variance(self) -> float:
+        """As of `Merged`."""
+        return self.merged.variance
 
 
 @dataclass(frozen=True, slots=True)

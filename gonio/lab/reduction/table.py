@@ -130,7 +130,8 @@ def _rows(frames: RunFrames, results: list[BandResult], *, of_angles: bool) -> t
     planned = plan["flag"].tolist()
     for k, result in enumerate(results):
         rows, columns = result.rows, result.values.columns()
-        columns |= dict(zip(ANGLES_DEG, angles_deg([point.directions for point in result.points]), strict=True))
+        angles = angles_deg([point.directions for point in result.measured.points])
+        columns |= dict(zip(ANGLES_DEG, angles, strict=True))
         measured = set(rows.tolist())
         flags[:, k] = [
             flag or result.flags.get(point, "") or ("" if point in measured else "not_measured")
@@ -188,10 +189,10 @@ def _angles_of_chosen(run: Run) -> dict[str, dict[str, float]]:
 
 def _of_band(result: BandResult, flags: list[str], clipped: float) -> list[Check]:
     """The checks of a band's frames, visits and points."""
-    level = result.level
+    level = result.measured.fitted
     mean = float(np.mean(level.values))
     visits = VisitsOfBand(
-        used=result.visits,
+        used=len(result.measured.visits),
         lost=result.unusable,
         unknown=level.unknown,
         straight=level.straight,
@@ -220,13 +221,13 @@ def _calibrations(description: RigDescription) -> list[dict[str, str | None]]:
 
 def _account(result: BandResult) -> dict[str, float | str | list[float] | None]:
     """What the visits to the reference said."""
-    fitted = result.level
+    fitted = result.measured.fitted
     known = not fitted.unknown
     return {
         "band": result.band.name,
-        "brdf": result.reference_brdf,
-        "u_brdf_rel": result.u_reference_rel,
-        "visits": result.visits,
+        "brdf": result.measured.reference_brdf,
+        "u_brdf_rel": result.measured.u_reference,
+        "visits": len(result.measured.visits),
         "level_e_per_s_sr": fitted.level,
         "u_level_rel": fitted.u_level / fitted.level,
         "drift_per_hour": fitted.slope / fitted.level * 3600.0 if known else None,
@@ -324,7 +325,7 @@ def _beside(goals: Directions, unknown: Bools) -> str:
 
 def _notes(result: BandResult, goals: Directions) -> list[str]:
     """What a band has to say, without its name (`said_once`); `goals` are the points' nominal directions."""
-    out = white_reference.notes(result.level, result.visits, result.unusable)
+    out = white_reference.notes(result.measured.fitted, len(result.measured.visits), result.unusable)
     values = result.values
     if values.bounded.any():
         out.append(
@@ -407,13 +408,15 @@ def assemble_budget(table: DataFrame, bands: list[BandResult]) -> DataFrame:
     # each disc has the variance of a quarter of its squared radius in each direction
     variance = 0.25 * sum(float(cone) ** 2 for cone in cones)
     for k, band in enumerate(bands):
-        at, of = band.rows * len(bands) + k, band.values
+        at, of, measured = band.rows * len(bands) + k, band.values, band.measured
         if not at.size:
             continue
         none = np.zeros(at.size)
-        of_scatter = of.own["visits"] if band.level.scatter else none
+        of_scatter = of.own["visits"] if measured.fitted.scatter else none
         with np.errstate(divide="ignore", invalid="ignore"):
-            freedom = np.where(of_scatter > 0, max(band.visits - 1, 1) * (of.u_brdf / of_scatter) ** 4, math.inf)
+            freedom = np.where(
+                of_scatter > 0, max(len(measured.visits) - 1, 1) * (of.u_brdf / of_scatter) ** 4, math.inf
+            )
         of_cones = 0.5 * variance * of.lobes.curvature.sum(axis=1)
         values[:, at] = [*(of.own.get(name, none) for name in parts), freedom, of.coarse, of_cones]
     values[:, table["flag"].to_numpy() != ""] = math.nan

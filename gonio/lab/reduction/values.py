@@ -22,22 +22,35 @@ from gonio.typing import Bools, Floats, Ints, JsonObject
 
 @dataclass(frozen=True, slots=True)
 class MeasuredBand:
-    """The points of one band on one side of the sample, and the light in which they were measured."""
+    """The points of one band, and the light in which they were measured."""
 
     frames: RunFrames
     band: Band
     points: list[Reduced]
-    """Directions of those behind the sample are mirrored at its plane."""
-    visit: Reduced
-    """The first visit to the white reference."""
+    """Those that have a rate. For the causes of uncertainty, those on one side of the sample: directions behind it are
+    mirrored at its plane."""
+    visits: list[Reduced]
+    """The usable visits to the white reference."""
     fitted: white_reference.Level
+    reference_brdf: float
+    """Mean over the visits [1/sr]; 1 where the lamp itself is the reference."""
     u_reference: float
-    """Relative standard uncertainty of the reference's BRDF."""
+    """Relative standard uncertainty of that: of the certificate, and of what is interpolated in it."""
 
     @property
     def description(self) -> RigDescription:
         """The rig."""
         return self.frames.description
+
+    @property
+    def visit(self) -> Reduced:
+        """The first visit to the white reference."""
+        return self.visits[0]
+
+    @property
+    def rows(self) -> Ints:
+        """The rows of the plan that have a value."""
+        return np.array([point.point for point in self.points], dtype=np.intp)
 
     @property
     def times_s(self) -> Floats:
@@ -94,20 +107,10 @@ Cause = Callable[[MeasuredBand, Values], None]
 class BandResult:
     """One band of a run: its values, why other points have none, and what the table's attributes say of it."""
 
-    band: Band
-    points: list[Reduced]
-    """The points that have a value."""
-    seen: list[Reduced]
-    """The usable visits to the white reference."""
+    measured: MeasuredBand
     values: Values
     flags: dict[int, str]
     """Why points have none, by their rows of the plan."""
-    level: white_reference.Level
-    reference_brdf: float
-    u_reference_rel: float
-    """Relative standard uncertainty of it: of the certificate, and of what is interpolated in it."""
-    prnu: float
-    """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
     unusable: list[str]
     """The flags of the other visits."""
     scatter: float
@@ -121,14 +124,14 @@ class BandResult:
     """How the frames were merged pixel by pixel; empty where whole frames were."""
 
     @property
-    def rows(self) -> Ints:
-        """The rows of the plan that have a value."""
-        return np.array([point.point for point in self.points], dtype=np.intp)
+    def band(self) -> Band:
+        """Its name, centre and width."""
+        return self.measured.band
 
     @property
-    def visits(self) -> int:
-        """How many visits to the white reference are used."""
-        return len(self.seen)
+    def rows(self) -> Ints:
+        """The rows of the plan that have a value."""
+        return self.measured.rows
 
 
 def joined(parts: Sequence[Any], rows: Sequence[Ints]) -> Any:

@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 from gonio_analysis.fitting import fit as fits
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.fitting.problem import SIGNIFICANCE, FitRequest
+from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.unnoticed import LARGEST, MOST_NODES, SMOOTH, half_found, smooth_root
 
+from gonio.checks.values import SIGNIFICANCE
 from gonio.geometry import Directions
 from gonio.models import CookTorrance, Lambert
 from gonio.typing import Floats
