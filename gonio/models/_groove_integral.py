@@ -45,28 +45,22 @@ def _gauss(k: int) -> tuple[Floats, Floats]:
     return np.polynomial.legendre.leggauss(4 * k)
 
 
-def _rules(which: int) -> Floats:
-    """Gauss-Legendre nodes (0) or weights (1) of 4, 8, ..., 104 points, one rule after the other."""
-    return np.concatenate([_gauss(k)[which] for k in range(1, 27)])
-
-
 @table
 def NODES() -> Floats:
-    """The nodes of all the rules: those of the rule of 4k points begin at 2k(k - 1)."""
-    return _rules(0)
+    """The nodes of the rules of 4, 8, ..., 104 points: those of the rule of 4k points begin at 2k(k - 1)."""
+    return np.concatenate([_gauss(k)[0] for k in range(1, 27)])
 
 
 @table
 def WEIGHTS() -> Floats:
-    """The weights of all the rules."""
-    return _rules(1)
+    """Their weights."""
+    return np.concatenate([_gauss(k)[1] for k in range(1, 27)])
 
 
-GRADES = 2
-"""Grades of steepness, to a unit of its logarithm: an arc takes the rule of the next steeper grade."""
+GRADES = 2  # of steepness, to a unit of its logarithm: an arc takes the rule of the next steeper grade
 STEEPEST_GRADE = 128
+# quarters of points to a unit of reach, more, and at most: plain arcs, those with a ridge, all slopes at once
 RULES = ((1.1, 1.5, 36), (1.1, 8.5, 36), (2.0, 3.0, 62))
-"""Quarters of points to a unit of reach, more, and at most: plain arcs, those with a ridge, all slopes at once."""
 MOST_NODES = 4 * 4 * RULES[2][2]
 
 
@@ -265,13 +259,11 @@ def directions(lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
     ti = min(hypot(lx, ly) / max(lz, 1e-300), STEEPEST)
     tr = min(hypot(vx, vy) / max(vz, 1e-300), STEEPEST)
     delta = atan2(lx * vy - ly * vx, lx * vx + ly * vy)
-    cd = tr * cos(delta)
-    sd = tr * sin(delta)
+    cd, sd = tr * cos(delta), tr * sin(delta)
     return ti, tr, delta, (atan2(ti - cd, sd), atan2(ti + cd, -sd))
 
 
-TERMS = 24
-"""Terms of the polynomials for integrals over slopes: with them the BRDF is off by 4e-11 where nothing else is."""
+TERMS = 24  # of the polynomials for integrals over slopes: the BRDF is off by 4e-11 where nothing else is
 
 
 @functools.cache

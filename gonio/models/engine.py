@@ -24,6 +24,7 @@ from gonio.models import _loops
 from gonio.models._compile import loop
 from gonio.models._loops import BLOCK, NORM_TOLERANCE, PHI_LIMIT
 from gonio.models._math import HALF_PI
+from gonio.models.parameters import checked_wavelength
 from gonio.typing import ArrayLike, Floats, NDArray
 
 Kernel = Callable[..., Any]
@@ -376,3 +377,56 @@ def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split:
         run = loop(_loops.over_vectors, kernel, len(constants))
         in_parts(lambda i, j: run(where.omega_i, 1, where.omega_r, 1, constants, target, i, j), target.size, split)
     return delivered(out, values)
+
+
+# --- wavelengths ---------------------------------------------------------------------------------------------------
+
+
+def over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
+    """``evaluate(flat theta_i, wavelength) -> flat`` over checked arguments that broadcast."""
+    theta = real_array("theta_i", theta_i)
+    check_angles([theta, *[np.zeros(1)] * 3])
+    waves = real_array("wavelength_nm", wavelength_nm)
+    shape = common_shape(("theta_i", "wavelength_nm"), [theta.shape, waves.shape])
+    theta, waves = np.broadcast_to(theta, shape).ravel(), np.broadcast_to(waves, shape).ravel()
+    out = np.empty(theta.shape)
+    for wave in np.unique(waves):
+        here = waves == wave
+        out[here] = evaluate(np.ascontiguousarray(theta[here]), checked_wavelength(wave))
+    return out.reshape(shape)[()]
+
+
+def by_wavelength(
+    evaluate: Callable[[list[Any], list[float]], Floats],
+    wavelength_nm: ArrayLike,
+    arrays: list[Any],
+    shape: tuple[int, ...],
+    core: tuple[int, ...],
+) -> Any:
+    """``evaluate(arguments, wavelengths) -> (wavelengths, pairs)`` over arguments that broadcast with wavelengths.
+
+    Where wavelengths and directions lie on axes of their own, all wavelengths share one evaluation of the directions;
+    else the pairs of each wavelength are picked out. `core` is what an argument's shape has beyond that of the pairs.
+    """
+    waves = real_array("wavelength_nm", wavelength_nm)
+    whole = common_shape(("the directions", "wavelength_nm"), [shape, waves.shape])
+    if 0 in whole:
+        return np.empty(whole)
+    unique, place = np.unique(waves, return_inverse=True)
+    numbers = [checked_wavelength(wave) for wave in unique]
+    long = (1,) * (len(whole) - len(shape)) + shape
+    wide = (1,) * (len(whole) - waves.ndim) + waves.shape
+    if all(n == 1 or w == 1 for n, w in zip(long, wide, strict=True)):
+        table = evaluate([np.broadcast_to(array, (*shape, *core)) for array in arrays], numbers)[place.reshape(-1)]
+        apart = table.reshape(wide + long)
+        axes = [
+            axis for pair in zip(range(len(whole)), range(len(whole), 2 * len(whole)), strict=True) for axis in pair
+        ]
+        return apart.transpose(axes).reshape(whole)
+    place = np.broadcast_to(place.reshape(waves.shape), whole)
+    parts = [np.broadcast_to(array, (*whole, *core)) for array in arrays]
+    out = np.empty(whole)
+    for k, number_ in enumerate(numbers):
+        here = place == k
+        out[here] = evaluate([part[here] for part in parts], [number_])[0]
+    return out

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, cast, overload
 
 import numpy as np
@@ -281,20 +281,11 @@ class Model(ABC):
         """
         if isinstance(wavelength_nm, (int, float)) or engine.real_array("wavelength_nm", wavelength_nm).ndim == 0:
             kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
-            return engine.over_angles(
-                kernel,
-                constants,
-                theta_i,
-                phi_i,
-                theta_r,
-                phi_r,
-                absolute=self.depends_on_azimuth,
-                split=self.grain,
-                out=out,
-            )
+            angles, absolute = (theta_i, phi_i, theta_r, phi_r), self.depends_on_azimuth
+            return engine.over_angles(kernel, constants, *angles, absolute=absolute, split=self.grain, out=out)
         arrays, shape = engine.angle_arrays(theta_i, phi_i, theta_r, phi_r)
         engine.check_angles(arrays)
-        return engine.delivered(out, _by_wavelength(self._spectra, wavelength_nm, arrays, shape, ()))
+        return engine.delivered(out, engine.by_wavelength(self._spectra, wavelength_nm, arrays, shape, ()))
 
     def _spectra(self, arguments: list[Any], waves: list[float]) -> Floats:
         """The BRDF (wavelengths, pairs) at four angles of one shape, or at two arrays of vectors."""
@@ -364,7 +355,7 @@ class Model(ABC):
             kernel, constants = self._evaluation(checked_wavelength(wavelength_nm))
             return engine.over_vectors(kernel, constants, omega_i, omega_r, split=self.grain, out=out)
         vectors, shape = engine.vector_arrays(omega_i, omega_r)
-        return engine.delivered(out, _by_wavelength(self._spectra, wavelength_nm, vectors, shape, (3,)))
+        return engine.delivered(out, engine.by_wavelength(self._spectra, wavelength_nm, vectors, shape, (3,)))
 
     def at(self, geometry: Geometry, *, wavelength_nm: float = 550.0, out: Any = None) -> Any:
         """BRDF [1/sr] at directions that `gonio.models.geometry` has checked: the fast way to try many parameters.
@@ -418,7 +409,7 @@ class Model(ABC):
         ArgumentError
             An angle is NaN or out of range; it names the argument.
         """
-        return engine.delivered(out, _over_thetas(self._spike, theta_i, wavelength_nm))
+        return engine.delivered(out, engine.over_thetas(self._spike, theta_i, wavelength_nm))
 
     def _spike(self, theta: Floats, wavelength_nm: float) -> Floats:
         """Reflectivity (n,) of the spike at checked polar angles (n,)."""
@@ -500,56 +491,6 @@ class Model(ABC):
     ) -> Floats:
         """The integral of the BRDF times the cosine of the other direction, for sources or (`viewer`) viewers."""
         return hemispherical.over_directions(self, theta, phi, wavelength_nm, viewer, tolerance=tolerance)
-
-
-def _over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
-    """``evaluate(flat theta_i, wavelength) -> flat`` over checked arguments that broadcast."""
-    theta = engine.real_array("theta_i", theta_i)
-    engine.check_angles([theta, *[np.zeros(1)] * 3])
-    waves = engine.real_array("wavelength_nm", wavelength_nm)
-    shape = engine.common_shape(("theta_i", "wavelength_nm"), [theta.shape, waves.shape])
-    theta, waves = np.broadcast_to(theta, shape).ravel(), np.broadcast_to(waves, shape).ravel()
-    out = np.empty(theta.shape)
-    for wave in np.unique(waves):
-        here = waves == wave
-        out[here] = evaluate(np.ascontiguousarray(theta[here]), checked_wavelength(wave))
-    return out.reshape(shape)[()]
-
-
-def _by_wavelength(
-    evaluate: Callable[[list[Any], list[float]], Floats],
-    wavelength_nm: ArrayLike,
-    arrays: list[Any],
-    shape: tuple[int, ...],
-    core: tuple[int, ...],
-) -> Any:
-    """``evaluate(arguments, wavelengths) -> (wavelengths, pairs)`` over arguments that broadcast with wavelengths.
-
-    Where wavelengths and directions lie on axes of their own, all wavelengths share one evaluation of the directions;
-    else the pairs of each wavelength are picked out. `core` is what an argument's shape has beyond that of the pairs.
-    """
-    waves = engine.real_array("wavelength_nm", wavelength_nm)
-    whole = engine.common_shape(("the directions", "wavelength_nm"), [shape, waves.shape])
-    if 0 in whole:
-        return np.empty(whole)
-    unique, place = np.unique(waves, return_inverse=True)
-    numbers = [checked_wavelength(wave) for wave in unique]
-    long = (1,) * (len(whole) - len(shape)) + shape
-    wide = (1,) * (len(whole) - waves.ndim) + waves.shape
-    if all(n == 1 or w == 1 for n, w in zip(long, wide, strict=True)):
-        table = evaluate([np.broadcast_to(array, (*shape, *core)) for array in arrays], numbers)[place.reshape(-1)]
-        apart = table.reshape(wide + long)
-        axes = [
-            axis for pair in zip(range(len(whole)), range(len(whole), 2 * len(whole)), strict=True) for axis in pair
-        ]
-        return apart.transpose(axes).reshape(whole)
-    place = np.broadcast_to(place.reshape(waves.shape), whole)
-    parts = [np.broadcast_to(array, (*whole, *core)) for array in arrays]
-    out = np.empty(whole)
-    for k, number_ in enumerate(numbers):
-        here = place == k
-        out[here] = evaluate([part[here] for part in parts], [number_])[0]
-    return out
 
 
 def store(model: Model, **values: Any) -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from gonio.lab.acquisition.progress import Pause, Stop
     from gonio.lab.acquisition.resuming import Resumed
     from gonio.lab.acquisition.run import Run
+    from gonio.lab.acquisition.run_settings import RunRequest
     from gonio.lab.acquisition.sampling import Sampler
 
     Prepared = tuple[Plan, "RigChoice", list[Assessed], Sampler | None]
@@ -164,14 +165,10 @@ def carry_out(
     last: bool = False,
     pause: Pause | None = None,
 ) -> Run:
-    """Measure a plan into a folder. Everything that can be wrong is checked before the folder is made.
+    """Measure a plan on a rig into a folder. Everything that can be wrong is checked before the folder is made.
 
     Parameters
     ----------
-    plan, rig
-        What to measure, and on what.
-    out
-        The folder of the run.
     sample, seed
         For a simulated rig.
     resume
@@ -197,52 +194,61 @@ def carry_out(
     GonioError
         See `gonio.lab.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
-    from gonio.lab.acquisition.loop import measure
-    from gonio.lab.acquisition.progress import Remaining, Stop
-    from gonio.lab.acquisition.repair import ASIDE
-    from gonio.lab.acquisition.resuming import reopened
-    from gonio.lab.acquisition.run import Run
+    from gonio.lab.acquisition.progress import Stop
     from gonio.lab.acquisition.run_folder import begun
     from gonio.lab.acquisition.run_settings import RunRequest
 
-    out = Path(out)
-    progress = progress or Silent()
-    begun_before = resume and begun(out)
-    plan, rig, points, sampler = prepared(plan, rig, out if begun_before else None)
+    out, progress = Path(out), progress or Silent()
+    before = resume and begun(out)
+    plan, rig, points, sampler = prepared(plan, rig, out if before else None)
     request = RunRequest(plan, rig.description, sample, seed, command, points)
     check_patches(rig, sample)
-    steps: Sequence[Step] = [] if begun_before else rig.schedule(plan, request.points)
+    steps = None if before else rig.schedule(plan, request.points)
     device = _open(rig, out, sample, seed, resume, yes)
-    if not begun_before:
+    if steps is not None:
         _check_room(out, rig, plan, len(steps), progress, yes)
     with Stop(progress, last=last, pause=pause) as stop:
-        entered = False
-        try:
-            with contextlib.ExitStack() as stack:
-                if begun_before:
-                    resumed = reopened(out, request)
-                    run = stack.enter_context(resumed.run)
-                    _say_what_was_found(resumed, progress)
-                    steps = going_on(plan, rig.description, run.planned.flags)
-                    more = len(steps) - len(run.steps()) + len(resumed.found.damaged)
-                    _check_room(out, rig, plan, more, progress, yes)
-                with rig.naming():
-                    stack.enter_context(device)
-                entered = True
-                _require_way(device, steps[1].pose)
-                if begun_before and (aside := resumed.set_right()):
-                    progress.say(f"{out}: {len(aside)} files of steps that were cut short are now in {out / ASIDE}")
-                if not begun_before:
-                    run = stack.enter_context(Run.create(out, request))
-                    for line in said_beside(request.points, rig.description):
-                        progress.say(line)
-                progress.expects(Remaining.of_run(run, steps, simulated=device.repeatable))
-                measure(device, run, steps, progress, stop, sampler)
-        except GonioError as error:
-            if entered or isinstance(error, Interrupted):
-                with stop.held():
-                    error.args = (_with_state(error, device, stop, entered=entered),)
-            raise
+        return _measured(request, rig, device, out, steps, progress, stop, sampler, yes=yes)
+
+
+def _measured(
+    request: RunRequest, rig: RigChoice, device: Rig, out: Path, steps: Sequence[Step] | None, progress: Progress,
+    stop: Stop, sampler: Sampler | None, *, yes: bool,
+) -> Run:  # fmt: skip
+    """A new run of these steps; without steps, one that has begun is gone on with. Errors say how the rig was left."""
+    from gonio.lab.acquisition.loop import measure
+    from gonio.lab.acquisition.progress import Remaining
+    from gonio.lab.acquisition.repair import ASIDE
+    from gonio.lab.acquisition.resuming import reopened
+    from gonio.lab.acquisition.run import Run
+
+    resumed, entered = None, False
+    try:
+        with contextlib.ExitStack() as stack:
+            if steps is None:
+                resumed = reopened(out, request)
+                run = stack.enter_context(resumed.run)
+                _say_what_was_found(resumed, progress)
+                steps = going_on(request.plan, rig.description, run.planned.flags)
+                more = len(steps) - len(run.steps()) + len(resumed.found.damaged)
+                _check_room(out, rig, request.plan, more, progress, yes)
+            with rig.naming():
+                stack.enter_context(device)
+            entered = True
+            _require_way(device, steps[1].pose)
+            if resumed is None:
+                run = stack.enter_context(Run.create(out, request))
+                for line in said_beside(request.points, rig.description):
+                    progress.say(line)
+            elif aside := resumed.set_right():
+                progress.say(f"{out}: {len(aside)} files of steps that were cut short are now in {out / ASIDE}")
+            progress.expects(Remaining.of_run(run, steps, simulated=device.repeatable))
+            measure(device, run, steps, progress, stop, sampler)
+    except GonioError as error:
+        if entered or isinstance(error, Interrupted):
+            with stop.held():
+                error.args = (_with_state(error, device, stop, entered=entered),)
+        raise
     return run
 
 

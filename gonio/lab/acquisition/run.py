@@ -19,7 +19,7 @@ import os
 import re
 import sys
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -48,9 +48,9 @@ from gonio.disk import (
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.geometry import ANGLES_DEG
 from gonio.lab.acquisition.frame_writer import NAME, label_of
-from gonio.lab.acquisition.journal import Event, Events, Index, Journal, Steps, files_named, first_event, read_events
+from gonio.lab.acquisition.journal import Event, Events, Index, Journal, Steps, first_event, read_events
 from gonio.lab.acquisition.plan import PLAN_COLUMNS, Point, plan_csv, points_sha256
-from gonio.lab.acquisition.run_folder import OURS, check_new, make_folder, remove_begun
+from gonio.lab.acquisition.run_folder import OURS, changed, check_new, make_folder, remove_begun
 from gonio.lab.acquisition.run_settings import RunRequest, RunSettings, named_files, resolved, settings_for
 from gonio.lab.acquisition.schedule import Batch
 from gonio.lab.rig import Step
@@ -171,9 +171,9 @@ class Run:
             settings = parse(RunSettings, values, path / "run.toml")
         except ConfigError as error:
             raise DataError(str(error)) from None
-        if changed := _changed(path, AS_BEGUN):
+        if other := changed(path, AS_BEGUN):
             raise DataError(
-                f"{path / changed}: was changed after it was written (its checksum differs), and the frames were not "
+                f"{path / other}: was changed after it was written (its checksum differs), and the frames were not "
                 "taken with what it says now; restore it. What is to be another rig, measure into another folder"
             )
         if first_event(path / "journal.jsonl").get("run", settings.run.id) != settings.run.id:
@@ -290,7 +290,7 @@ class Run:
         """The points of plan.csv: all that was known when the run began."""
         path, run = self.path / "plan.csv", self.settings.run
         own = read_manifest(self.path).get("plan.csv")
-        if path.is_file() and _changed(self.path, {"plan.csv"}):
+        if path.is_file() and changed(self.path, {"plan.csv"}):
             raise DataError(f"{path}: was changed after it was written (its checksum differs); {RESTORE}")
         angles: list[Floats] = [np.empty((0, len(ANGLES_DEG)))]
         flags: list[str] = []
@@ -474,20 +474,6 @@ class Run:
         if self.journal is not None:
             self.journal.close()
             self._closed, self.journal = self.journal.events, None
-
-
-def _changed(path: Path, names: Collection[str]) -> str:
-    """Which file of a run, of these names, is not as the manifest names it, or a line of the journal; "" for none."""
-    there = {name for name in names if os.path.lexists(path / name)}
-    own = read_manifest(path)
-    wrong = {name for name in there & own.keys() if not is_own(path / name, own[name])}
-    named: dict[str, bool] = {}
-    for files in files_named(path / "journal.jsonl"):
-        for name in there & files.keys():
-            named[name] = named.get(name, False) or is_own(path / name, {files[name]})
-        if all(named.values()):  # the first line's, unless the laboratory was stated anew
-            break
-    return min(wrong | {name for name, same in named.items() if not same}, default="")
 
 
 def own_files(path: Path) -> Manifest:

@@ -1,6 +1,8 @@
 """Whether a folder takes a run, and making and emptying one; what this program did not write stays untouched."""
 
 import contextlib
+import os
+from collections.abc import Collection
 from pathlib import Path
 
 from gonio.disk import (
@@ -15,7 +17,7 @@ from gonio.disk import (
 )
 from gonio.errors import ConfigError, DataError, os_error_as
 from gonio.lab.acquisition.frame_writer import NAME
-from gonio.lab.acquisition.journal import has_lines, read_events
+from gonio.lab.acquisition.journal import files_named, has_lines, read_events
 
 OURS = (
     "run.toml",
@@ -83,6 +85,20 @@ def _left(file: Path, own: Manifest) -> bool:
     if file.name == MANIFEST:
         return is_manifest(file)
     return file.name == "journal.jsonl" or half_written(file.name, OURS) or is_own(file, own.get(file.name, ()))
+
+
+def changed(path: Path, names: Collection[str]) -> str:
+    """Which file of a run, of these names, is not as the manifest names it, or a line of the journal; "" for none."""
+    there = {name for name in names if os.path.lexists(path / name)}
+    own = read_manifest(path)
+    wrong = {name for name in there & own.keys() if not is_own(path / name, own[name])}
+    named: dict[str, bool] = {}
+    for files in files_named(path / "journal.jsonl"):
+        for name in there & files.keys():
+            named[name] = named.get(name, False) or is_own(path / name, {files[name]})
+        if all(named.values()):  # the first line's, unless the laboratory was stated anew
+            break
+    return min(wrong | {name for name, same in named.items() if not same}, default="")
 
 
 def remove_begun(path: Path) -> None:

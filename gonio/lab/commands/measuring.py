@@ -62,18 +62,9 @@ def measure(
     pause = Pause()
     with on_screen(pause) as progress:
         run = carry_out(
-            asked,
-            chosen,
-            out,
-            sample=described,
-            seed=seed,
-            resume=resume,
-            yes=yes,
-            command=command_line(),
-            progress=progress,
-            last=True,
-            pause=pause,
-        )
+            asked, chosen, out, sample=described, seed=seed, resume=resume, yes=yes,
+            command=command_line(), progress=progress, last=True, pause=pause,
+        )  # fmt: skip
     flags = run.points.flags
     points, skipped = sum(not flag for flag in flags), _flags(flags)  # every step is done where this is reached
     console.show(

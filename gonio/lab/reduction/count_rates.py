@@ -123,11 +123,14 @@ class RunFrames:
         self.dark_hits = 0
         """Pixels of dark frames that were hit by cosmic radiation; where frames are merged by pixels."""
         self._darks = self._read_darks(darks)
-        self.prnu = camera.prnu
+
+    @cached_property
+    def prnu(self) -> float:
         """Relative standard deviation of the pixels' responsivities, after maps where there are any."""
-        if self.maps is not None:
-            u = np.concatenate([self.maps.u_responsivity[box].ravel() for box in self._boxes.values()])
-            self.prnu = float(np.sqrt(np.mean(u.astype(float) ** 2)))
+        if self.maps is None:
+            return self.description.camera.prnu
+        u = np.concatenate([self.maps.u_responsivity[box].ravel() for box in self._boxes.values()])
+        return float(np.sqrt(np.mean(u.astype(float) ** 2)))
 
     @cached_property
     def plan(self) -> DataFrame:
