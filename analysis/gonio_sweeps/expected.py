@@ -85,7 +85,7 @@ def level(durations: Durations, steps: Sequence[Step], brdf: Mapping[int, float]
     visits, variances, times = list[float](), list[float](), dict[int, float]()
     for step in steps:
         factor = max(math.pi * brdf[step.point], NOTHING) if step.point is not None else None
-        took = durations.step_s(here, step, factor)
+        took = durations.step(here, step, factor).total_s
         if step.point is not None:
             times[step.point] = now + took
         elif step.kind == "reference":

@@ -27,8 +27,6 @@ from gonio.models._compile import loop
 from gonio.models.parameters import checked_wavelength, choice, number
 from gonio.typing import ArrayLike, Floats, Ints
 
-Places = Ints
-
 STEPS = 8192
 """Steps of the table of rho_s from cos(theta) = 0 to 1."""
 GRAIN = 4096  # geometries worth a thread of their own
@@ -75,7 +73,7 @@ class Overlaps:
         return self._omega_i[whole].reshape(-1), self._omega_r[whole].reshape(-1)
 
     @functools.cached_property
-    def _grid(self) -> tuple[Floats, Places, Places, Places]:
+    def _grid(self) -> tuple[Floats, Ints, Ints, Ints]:
         """Equal steps of cos(theta) over the caps; which of them the caps touch; where each cap begins and ends."""
         z_i, z_r = self._omega_i[self._whole, 2], self._omega_r[self._whole, 2]
         theta = np.arccos(np.minimum(z_r, 1.0))

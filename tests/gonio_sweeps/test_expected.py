@@ -58,8 +58,8 @@ def test_the_level_is_that_of_a_line_through_expected_visits() -> None:
     at = Pose(light=0.5, camera=-0.5)
     steps = [Step(0, "reference", pose=home), Step(1, "point", 0, at), Step(2, "reference", pose=home)]
     fitted, times = expected.level(durations, steps, {0: 0.3})
-    first = durations.step_s(Pose(), steps[0], None)
-    assert times == {0: pytest.approx(first + durations.step_s(home, steps[1], math.pi * 0.3))}
+    first = durations.step(Pose(), steps[0]).total_s
+    assert times == {0: pytest.approx(first + durations.step(home, steps[1], math.pi * 0.3).total_s)}
     assert fitted.line(np.array([times[0]]))[0] == pytest.approx(1.0)
 
 

@@ -335,7 +335,7 @@ def test_spent_time_is_that_of_the_frames_that_were_taken(tmp_path: Path) -> Non
     spent = expected.spent_s(Durations(run.description, run.bands), run)
     assert spent > exposures
     # a matt sample takes what was planned for it, but for its albedo and metering
-    planned = Durations(run.description, run.bands).total_s([_step(record) for record in run.steps()])
+    planned = Durations(run.description, run.bands).parts([_step(record) for record in run.steps()]).total_s
     assert spent == pytest.approx(planned, rel=0.2)
 
 

@@ -182,10 +182,6 @@ class Durations:
         part = "reference_s" if step.kind == "reference" else "frames_s"
         return TimeParts(**{"travel_s": self.move_s(here, step.pose), part: frames_s})
 
-    def step_s(self, here: Pose, step: Step, reflectance: float | Mapping[str, float] | None = None) -> float:
-        """How long a step takes, from a pose [s]; parameters as in `frames_s`."""
-        return self.step(here, step, reflectance).total_s
-
     def parts(self, steps: Iterable[Step], here: Pose | None = None) -> TimeParts:
         """What a sequence of steps takes, with the lamp's warm-up before it.
 
@@ -198,10 +194,6 @@ class Durations:
                 stations.append(step.pose)
         warm_up_s = self.description.lamp.warm_up_s
         return TimeParts(self.way_s(stations), seconds["point"], seconds["reference"], seconds["dark"], warm_up_s)
-
-    def total_s(self, steps: Iterable[Step], here: Pose | None = None) -> float:
-        """How long a sequence of steps takes [s], with the lamp's warm-up before it."""
-        return self.parts(steps, here).total_s
 
 
 def approach_starts(goals: Floats, approach: Floats, limits: Floats) -> Floats:

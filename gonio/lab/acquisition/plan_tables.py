@@ -26,7 +26,6 @@ from gonio.geometry import (
 from gonio.typing import Bools, Floats
 
 Side = Literal["reflection", "transmission"]
-Flags = Bools
 DIGITS = 12
 """Digits of the angles of grids in degrees: 40.0 and not 39.99999999999999, at 2e-14 rad."""
 MAX_POINTS = 1_000_000
@@ -280,7 +279,7 @@ class HalfVector(Repeated):
         for i, theta, phi, above in self._each():
             yield from ((i, 0.0, r, p) for r, p in _in_degrees(theta[above], phi[above], self.side))
 
-    def _each(self) -> Iterator[tuple[float, Floats, Floats, Flags]]:
+    def _each(self) -> Iterator[tuple[float, Floats, Floats, Bools]]:
         """For each theta_i: theta_r and phi_r [rad] of all half vectors, and which of them are above the horizon."""
         pairs = [(h, p) for k, p in enumerate(self.phi_h_deg) for h in self.theta_h_deg if h or not k]
         half = direction(*np.radians(np.array(pairs)).T)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from gonio.errors import ConfigError
+from gonio.geometry import ANGLES
 from gonio.lab.acquisition import exposure
 from gonio.lab.by_hand import frame_analysis
 from gonio.lab.rig import Frame, Pose, Target, imaging, kinematics, regions
@@ -127,9 +128,7 @@ class Sight:
         seen = kinematics.directions(description, pose)
         return {
             "angles_deg": {name: math.degrees(getattr(pose, name)) for name in description.axes()},
-            "directions_deg": {
-                name: math.degrees(float(getattr(seen, name))) for name in ("theta_i", "phi_i", "theta_r", "phi_r")
-            },
+            "directions_deg": {name: math.degrees(float(getattr(seen, name))) for name in ANGLES},
         }
 
     # ---- in the frame ----
@@ -196,8 +195,7 @@ class Sight:
 
 
 def _apart_deg(one: Pose, other: Pose) -> float:
-    axes = ("light", "camera", "tilt", "spin", "azimuth")
-    return max(abs(math.degrees(getattr(one, name) - getattr(other, name))) for name in axes)
+    return max(abs(math.degrees(getattr(one, name) - getattr(other, name))) for name in kinematics.AXES)
 
 
 def _places(columns: Floats, rows: Floats) -> list[list[float]] | None:

@@ -448,15 +448,14 @@ def align(
     Beside OUT: OUT-scans.csv, to fit again, and OUT-residuals.png. The lamp is dark and the arms parked afterwards.
     With --live a person aligns: the first line is the address of a page with the camera's picture.
     """
-    from gonio.lab.commands import align
-    from gonio.lab.commands import align as by_scans
+    from gonio.lab.commands import align as work
 
     if not live:
-        by_scans.align(rig, out, only, again or (), search_deg=search, seed=seed, yes=yes)
+        work.align(rig, out, only, again or (), search_deg=search, seed=seed, yes=yes)
     elif again:
         raise ConfigError("--from belongs to scans, and --live makes none: leave one of them away")
     else:
-        align.live(rig, out, sample, seed=seed, host=host, port=port, keep_s=keep, wavelength=wavelength)
+        work.live(rig, out, sample, seed=seed, host=host, port=port, keep_s=keep, wavelength=wavelength)
 
 
 # ---- inside ----

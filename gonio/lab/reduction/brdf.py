@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 
 import numpy as np
 
@@ -113,13 +112,9 @@ def _reference(measured: MeasuredBand, values: Values) -> None:
     values.common |= measured.fitted.changes(values.brdf, measured.times_s, measured.u_reference)
 
 
-_MODULES = ("light_and_lens",)
-"""Modules beside this one with `CAUSES`. To add a cause: write `mine.py` with them, and name it here."""
-CAUSES: tuple[Cause, ...] = (
-    _reference,
-    *(cause for name in _MODULES for cause in import_module(f"gonio.lab.reduction.{name}").CAUSES),
-)
-"""The causes of uncertainty that act on each band alone, beside noise, darks and angles (docs/budget.md)."""
+CAUSES: tuple[Cause, ...] = (_reference, *light_and_lens.CAUSES)
+"""The causes of uncertainty that act on each band alone, beside noise, darks and angles (docs/budget.md). To add one:
+write `mine.py` beside this module, and its cause here."""
 
 
 def _reduce_band(frames: RunFrames, band: Band, steps: list[Reduced | Rejected]) -> BandResult:

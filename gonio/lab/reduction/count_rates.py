@@ -224,8 +224,8 @@ class RunFrames:
                 for target, box in boxes.items():
                     crops[target].append((frame.exposure_s, values[box].copy()))
                 if self.spreads:
-                    of = [stray_light.mean_of_channel(camera, values, channel) for channel in self._channels]
-                    means.append((frame.exposure_s, of))
+                    of = (stray_light.planes(camera, values, channel) for channel in self._channels)
+                    means.append((frame.exposure_s, [float(plane.mean(dtype=np.float64)) for plane in of]))
         if not all(crops.values()):
             raise DataError(f"{self.run.path}: every dark frame is missing or damaged ({self._first()}); {RETAKE}")
         used = {exposure_s for taken in crops.values() for exposure_s, _ in taken}

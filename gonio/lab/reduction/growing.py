@@ -68,6 +68,6 @@ def of_rates(
         time_s=time_s,
         level=level,
         brdf=value,
-        u_visits=value * fitted.extra(time_s) / level,
+        u_visits=value * fitted.wander(time_s).u / level,
         common=fitted.changes(value, time_s, u_reference),
     )

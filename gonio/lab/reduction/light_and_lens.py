@@ -126,9 +126,9 @@ def _along(of: Polarisation, toward: Floats, y: Floats, across: Floats) -> tuple
     return of.degree * math.cos(2.0 * (turn - math.radians(of.azimuth_deg))), True
 
 
-def diattenuation(theta: float, ior: float = FACET) -> float:
-    """(R_s - R_p)/(R_s + R_p) of a smooth dielectric at an angle of incidence [rad]."""
-    inside = math.asin(math.sin(theta) / ior)
+def diattenuation(theta: float) -> float:
+    """(R_s - R_p)/(R_s + R_p) of a smooth dielectric of the index `FACET` at an angle of incidence [rad]."""
+    inside = math.asin(math.sin(theta) / FACET)
     # Fresnel: R_p/R_s = (cos(theta + theta_t)/cos(theta - theta_t))^2
     ratio = (math.cos(theta + inside) / math.cos(theta - inside)) ** 2
     return (1.0 - ratio) / (1.0 + ratio)

@@ -20,8 +20,6 @@ from gonio.lab.rig.light_and_camera import Camera, rounding_of_mean
 from gonio.lab.rig.regions import Roi
 from gonio.typing import Bools, Floats, NDArray
 
-Mask = Bools
-
 DEVIATIONS = 5.0
 """The neighbours of a pixel that is used lie this many standard deviations of a full pixel below `SATURATED`."""
 FALSE_ALARMS = 1e-3
@@ -66,13 +64,13 @@ class Stack:
     """Raw levels, as fractions of full scale above the black level, shape (F, N)."""
     exposures_s: Floats
     """Shape (F,)."""
-    mask: Mask
+    mask: Bools
     """Where the used pixels lie in a rectangle; N of them."""
     per_weight: Floats
     """What makes a pixel's rate that of the region, shape (N,): see `gonio.lab.rig.regions.per_weight`."""
     dark_rate: Floats
     """Dark electrons a second of each pixel, shape (N,)."""
-    hot: Mask
+    hot: Bools
     """Pixels whose dark signal says that they are not to be used, shape (N,)."""
 
 
@@ -119,7 +117,7 @@ def merge(description: RigDescription, stack: Stack) -> Merged | None:
 class _Fit:
     """Rates of pixels and levels of frames by weighted least squares, for one choice of what is used."""
 
-    def __init__(self, camera: Camera, lamp: float, stack: Stack, rates: Floats, used: Mask) -> None:
+    def __init__(self, camera: Camera, lamp: float, stack: Stack, rates: Floats, used: Bools) -> None:
         self._stack, self._rates, self._lamp, self._camera = stack, rates, lamp, camera
         t = stack.exposures_s[:, None]
         # total charge over total time is what the weights come from
@@ -150,11 +148,11 @@ class _Fit:
         return np.asarray(inverse @ (w * p * (self._rates - self.mean)).sum(axis=1)), np.asarray(inverse)
 
     @property
-    def alone(self) -> Mask:
+    def alone(self) -> Bools:
         """Used pixels of frames that no other frame can tell of."""
         return np.asarray((self.weights > 0.0) & (self.total <= self.weights * (1.0 + 1e-12)))
 
-    def stands_out(self, limit: float) -> Mask:
+    def stands_out(self, limit: float) -> Bools:
         """Pixels that are brighter in a frame than the other frames allow, by Bernstein's bound of a Poisson number."""
         rest, known = self.total - self.weights, ~self.alone
         safe = np.where(known & (rest > 0.0), rest, 1.0)
@@ -250,7 +248,7 @@ def _levels_around(stack: Stack) -> Floats:
     return np.asarray(np.where(np.isfinite(around), around, peak))
 
 
-def _above_neighbours(camera: Camera, stack: Stack, fit: _Fit, limit: float) -> Mask:
+def _above_neighbours(camera: Camera, stack: Stack, fit: _Fit, limit: float) -> Bools:
     """Pixels, seen in one frame alone, that are brighter than all but two of the pixels around them allow.
 
     A peak of the sample's own rises above its surroundings too: twice what the third neighbour rises above the eighth

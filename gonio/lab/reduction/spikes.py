@@ -148,8 +148,6 @@ def blurred_overlap(
     return OverlapFraction(at_read, mean, variance, most, least)
 
 
-Places = Ints
-
 STANDS_OUT = 0.05
 """A spike is given back what it lacks where it exceeds its lobe by more than this part and three standard errors."""
 STEEPEST = 20.0
@@ -238,7 +236,7 @@ class _Fit:
     stands_out: bool
 
 
-def _fits(scene: SpikeScene, groups: Sequence[Places], near: Bools) -> list[_Fit | None]:
+def _fits(scene: SpikeScene, groups: Sequence[Ints], near: Bools) -> list[_Fit | None]:
     """A fit of each group that may see a spike; with groups at nearly the same angle, where one alone does not tell."""
     centres = [float(np.mean(scene.theta_i[group])) for group in groups]
     fits: list[_Fit | None] = []
@@ -252,7 +250,7 @@ def _fits(scene: SpikeScene, groups: Sequence[Places], near: Bools) -> list[_Fit
     return fits
 
 
-def find(scene: SpikeScene, groups: Sequence[Places]) -> Spikes:
+def find(scene: SpikeScene, groups: Sequence[Ints]) -> Spikes:
     """Spikes of a band.
 
     Parameters
@@ -307,7 +305,7 @@ def find(scene: SpikeScene, groups: Sequence[Places]) -> Spikes:
     return out
 
 
-def _fit(scene: SpikeScene, group: Places, near: Bools, own: Places | None = None) -> _Fit:
+def _fit(scene: SpikeScene, group: Ints, near: Bools, own: Ints | None = None) -> _Fit:
     """Lobe and spike of a group of points; `lobe` is that of the points of `own`, all by default."""
     k = group[near[group]]
     values, share, variance = scene.brdf[k], scene.mean[k], scene.variance[k]
@@ -361,7 +359,7 @@ def _fit(scene: SpikeScene, group: Places, near: Bools, own: Places | None = Non
     )
 
 
-def _bound(scene: SpikeScene, k: Places, theta: float) -> float:
+def _bound(scene: SpikeScene, k: Ints, theta: float) -> float:
     """The largest amplitude that points allow: a spike reflects at most all light, and is part of each value."""
     most = 1.0 / (math.cos(theta) * float(solid_angle_of_cone(max(scene.half_angles))))
     values = np.maximum(scene.brdf[k], 0.0) + 2.0 * scene.u[k]
@@ -375,7 +373,7 @@ def _largest(share: Floats, variance: Floats, values: Floats) -> float:
     return max(float(np.min(values[seen] / surely[seen])), 0.0) if seen.any() else math.inf
 
 
-def _lobe_below(scene: SpikeScene, group: Places, near: Bools) -> tuple[Floats, float]:
+def _lobe_below(scene: SpikeScene, group: Ints, near: Bools) -> tuple[Floats, float]:
     """Lobe under the points of a group that may see the spike, and its relative standard uncertainty."""
     k, free = group[near[group]], group[~near[group] & (scene.brdf[group] > 0.0)]
     x = scene.across[k]

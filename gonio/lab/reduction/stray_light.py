@@ -86,8 +86,3 @@ def spread(camera: Camera, values: Array, dark_dn: float, channel: Channel) -> S
     once = stray(small)
     scene = small - once + stray(once)
     return SpreadLight(float(scene.mean()), np.asarray(gaussian_filter(scene, sigma, mode="constant")), bin_px, camera)
-
-
-def mean_of_channel(camera: Camera, values: Array, channel: Channel) -> float:
-    """Mean over the pixels of a channel of a whole frame [DN]."""
-    return float(planes(camera, values, channel).mean(dtype=np.float64))

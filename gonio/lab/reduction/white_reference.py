@@ -99,10 +99,6 @@ class Level:
         away = self._steepest * (time_s - held) if len(self.lit_s) and not self.straight else 0.0
         return replace(found, u=np.sqrt(found.u**2 + away**2 + self.scatter**2))
 
-    def extra(self, time_s: Floats) -> Floats:
-        """Standard uncertainty of K beyond that of the line: `wander` in one number for each time."""
-        return self.wander(time_s).u
-
     def line(self, time_s: Floats) -> Floats:
         """The straight line that is nearest to all visits."""
         return self.level + self.slope * (time_s - self.centre_s)

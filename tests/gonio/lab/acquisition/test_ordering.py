@@ -42,7 +42,7 @@ def in_order(plan: Plan, description: RigDescription) -> Plan:
 
 
 def total_s(plan: Plan, description: RigDescription) -> float:
-    return Durations(description, BANDS[:1]).total_s(schedule(plan, description))
+    return Durations(description, BANDS[:1]).parts(schedule(plan, description)).total_s
 
 
 angles = st.lists(st.floats(-1.4, 1.4), min_size=4, max_size=4)

@@ -74,7 +74,7 @@ def left(remaining: Remaining) -> TimeLeft:
 def test_before_anything_is_measured_it_is_the_rig_file_s_time_and_unsure() -> None:
     steps = steps_of(60)
     found = left(Remaining(DURATIONS, steps, (), simulated=False))
-    assert found.seconds == pytest.approx(DURATIONS.total_s(steps), rel=1e-9)  # rounding of sums
+    assert found.seconds == pytest.approx(DURATIONS.parts(steps).total_s, rel=1e-9)  # rounding of sums
     assert 0.2 < found.u_seconds / found.seconds < PRIOR + 0.1
 
 
@@ -120,7 +120,7 @@ def test_somebody_at_the_rig_for_an_hour_changes_little() -> None:
 def test_a_few_steps_stand_for_those_of_a_long_run() -> None:
     steps = steps_of(3000)
     found = left(Remaining(DURATIONS, steps, (), simulated=False))
-    assert found.seconds == pytest.approx(DURATIONS.total_s(steps), rel=0.1)  # 256 of them, each of 50 % scatter
+    assert found.seconds == pytest.approx(DURATIONS.parts(steps).total_s, rel=0.1)  # 256 of them, each of 50 % scatter
     nearly = Remaining(DURATIONS, steps, range(len(steps) - 10), simulated=False)
     expected = sum(DURATIONS.step(a.pose, b).total_s for a, b in zip(steps[-11:], steps[-10:], strict=False))
     assert left(nearly).seconds == pytest.approx(expected, rel=1e-9)

@@ -77,7 +77,7 @@ def test_between_visits_without_noise_u_is_that_of_a_brownian_bridge() -> None:
     x = np.array([0.1, 0.3, 0.5, 0.8])
     told = float(np.std(np.diff(values)))
     for k in (2, 14, 25):
-        over = fitted.extra(times[k] + 300.0 * x) / (told * np.sqrt(x * (1.0 - x)))
+        over = fitted.wander(times[k] + 300.0 * x).u / (told * np.sqrt(x * (1.0 - x)))
         # more where the cubics depart from the straight lines, which are likeliest
         assert np.all((over > 0.85) & (over < 1.6))
 

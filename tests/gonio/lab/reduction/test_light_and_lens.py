@@ -34,7 +34,7 @@ def test_errors_of_a_band_are_slope_and_curvature_of_the_spectrum(
         results.append(
             SimpleNamespace(
                 band=SimpleNamespace(name=f"{w:g}", centre_nm=w, fwhm_nm=20.0), rows=np.array(rows),
-                points=rows, values=SimpleNamespace(brdf=np.full(len(rows), 1e-5 * (w - 400.0) ** 2), common={}),
+                values=SimpleNamespace(brdf=np.full(len(rows), 1e-5 * (w - 400.0) ** 2), common={}),
             )
         )  # fmt: skip
     light_and_lens.add_wavelength(SimpleNamespace(), results)  # type: ignore[arg-type]
@@ -55,9 +55,9 @@ def test_a_facet_polarises_as_fresnel_says() -> None:
     assert diattenuation(0.0) == pytest.approx(0.0, abs=1e-15)
     assert diattenuation(math.atan(FACET)) == pytest.approx(1.0)  # Brewster: nothing is reflected along the plane
     for theta in (0.3, 0.8, 1.3):
-        c, t = math.cos(theta), math.sqrt(1.0 - (math.sin(theta) / 1.7) ** 2)
-        s, p = ((c - 1.7 * t) / (c + 1.7 * t)) ** 2, ((1.7 * c - t) / (1.7 * c + t)) ** 2
-        assert diattenuation(theta, 1.7) == pytest.approx((s - p) / (s + p))
+        c, t = math.cos(theta), math.sqrt(1.0 - (math.sin(theta) / FACET) ** 2)
+        s, p = ((c - FACET * t) / (c + FACET * t)) ** 2, ((FACET * c - t) / (FACET * c + t)) ** 2
+        assert diattenuation(theta) == pytest.approx((s - p) / (s + p))
 
 
 @pytest.mark.parametrize(

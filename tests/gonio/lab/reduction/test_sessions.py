@@ -92,7 +92,7 @@ def test_the_level_is_not_interpolated_across_the_dark() -> None:
     np.testing.assert_allclose(level[1:3], 1.001, rtol=0, atol=1e-12)  # as at the last visit of their session
     assert level[0] == pytest.approx(1.0005, abs=3e-4)  # between the visits; a cubic bends a little
     # 40 s and 60 s after the last visit, of a lamp that drifts by 0.1 % in 100 s
-    assert (dark.extra(wanted)[1:3] >= [4e-4, 6e-4]).all()
+    assert (dark.wander(wanted).u[1:3] >= [4e-4, 6e-4]).all()
     through = white_reference.fit(times, values, np.full(5, 1e-8), wanted)
     assert abs(through.at(wanted)[2] - 1.001) > 1e-2
     np.testing.assert_array_equal(through.held(wanted), wanted)

@@ -33,7 +33,7 @@ def test_a_straight_level_is_recovered_with_its_covariance() -> None:
     np.testing.assert_allclose(fitted.noise(at) ** 2 + fitted.drift(at) ** 2, variance, rtol=1e-10)
     assert fitted.drift(at)[0] < 0 < fitted.drift(at)[2]
     # five visits do not tell that a lamp never wanders; outside of them least
-    assert np.all(fitted.extra(at)[:2] < 1.2 * np.sqrt(variance)[:2])
+    assert np.all(fitted.wander(at).u[:2] < 1.2 * np.sqrt(variance)[:2])
 
 
 def test_values_of_a_growing_run_are_rates_over_the_level_of_its_visits() -> None:
@@ -49,7 +49,7 @@ def test_values_of_a_growing_run_are_rates_over_the_level_of_its_visits() -> Non
     rate, when = np.array([100.0, 200.0]), np.array([100.0, 500.0])
     found = of_rates(run, rate, when, Directions.stack([at, at]), cast(Any, visits), BAND)
     np.testing.assert_allclose(found.brdf, rate / fitted.at(when), rtol=1e-14)
-    np.testing.assert_allclose(found.u_visits, rate * fitted.extra(when) / fitted.at(when) ** 2, rtol=1e-12)
+    np.testing.assert_allclose(found.u_visits, rate * fitted.wander(when).u / fitted.at(when) ** 2, rtol=1e-12)
     np.testing.assert_allclose(found.common["s_reference"], 0.01 * found.brdf, rtol=1e-14)
 
 
@@ -68,8 +68,8 @@ def test_a_crooked_level_is_interpolated() -> None:
     at = np.array([-10.0, 0.0, 150.0, 200.0, 400.0])
     np.testing.assert_allclose(fitted.at(at), [100.0, 100.0, 100.0, 90.0, 100.0], rtol=1e-12)
     # halfway it may be off by 14 from one visit to the next, and more: these are the root mean square of three changes
-    assert np.all(fitted.extra(at)[[1, 3]] < 0.5)
-    assert fitted.extra(at)[2] > 0.5 * 14.0
+    assert np.all(fitted.wander(at).u[[1, 3]] < 0.5)
+    assert fitted.wander(at).u[2] > 0.5 * 14.0
 
 
 def test_a_jump_between_two_visits_is_in_the_uncertainty_of_all_points_between_them() -> None:
@@ -77,13 +77,13 @@ def test_a_jump_between_two_visits_is_in_the_uncertainty_of_all_points_between_t
     times = np.arange(0.0, 700.0, 100.0)
     fitted = white_reference.fit(times, np.where(times < 350.0, 100.0, 95.0), np.full(7, 1e-4))
     at = np.array([305.0, 330.0, 350.0, 370.0, 395.0])
-    u = np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2)
+    u = np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.wander(at).u ** 2)
     for jump in (310.0, 340.0, 360.0, 390.0):
         true = np.where(at < jump, 100.0, 95.0)
         # at the fraction x of the interval the error is x or 1 - x of the jump: at most 2 u where x (1 - x) > 0.16
         assert np.all(abs(fitted.at(at) - true)[1:4] < 2.0 * u[1:4])
     assert np.all(u[1:4] > 0.4 * 5.0)
-    assert np.all(fitted.extra(np.array([50.0, 650.0])) < 0.02)  # far from it nothing is added
+    assert np.all(fitted.wander(np.array([50.0, 650.0])).u < 0.02)  # far from it nothing is added
 
 
 def test_a_warm_up_between_visits_is_no_jump() -> None:
@@ -93,8 +93,8 @@ def test_a_warm_up_between_visits_is_no_jump() -> None:
     assert not fitted.straight
     at = np.linspace(0.0, 1800.0, 200)
     error = abs(fitted.at(at) - (100.0 - 2.0 * np.exp(-at / 600.0)))
-    assert np.all(error < 2.0 * np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.extra(at) ** 2))
-    assert np.all(fitted.extra(at) < 0.1)
+    assert np.all(error < 2.0 * np.sqrt(fitted.noise(at) ** 2 + fitted.drift(at) ** 2 + fitted.wander(at).u ** 2))
+    assert np.all(fitted.wander(at).u < 0.1)
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -143,7 +143,7 @@ def test_visits_at_one_time_that_differ_beyond_noise_widen_their_mean() -> None:
     # standard error of the mean of four values that scatter by sqrt(4/3)
     assert fitted.u_level == pytest.approx(math.sqrt(4 / 3 / 4), rel=1e-12)
     # a point's level differs from the mean as those of the visits do, less the noise of a visit
-    np.testing.assert_allclose(fitted.extra(np.array([0.0, 60.0])), math.sqrt(4 / 3 - 0.01), rtol=1e-12)
+    np.testing.assert_allclose(fitted.wander(np.array([0.0, 60.0])).u, math.sqrt(4 / 3 - 0.01), rtol=1e-12)
 
 
 def test_two_of_three_visits_at_one_time_are_one_end_of_the_line() -> None:
@@ -159,7 +159,7 @@ def test_crooked_visits_of_which_two_are_at_one_time() -> None:
     fitted = white_reference.fit(times, values, np.full(4, 0.01))
     assert not fitted.straight
     np.testing.assert_allclose(fitted.at(np.array([50.0, 100.0])), [110.005, 120.01], rtol=1e-12)
-    assert np.all(np.isfinite(fitted.extra(np.array([0.0, 50.0, 100.0, 300.0]))))
+    assert np.all(np.isfinite(fitted.wander(np.array([0.0, 50.0, 100.0, 300.0])).u))
 
 
 @pytest.mark.parametrize(
