@@ -21,6 +21,7 @@ import numpy as np
 
 from gonio.disk import require_not_measured, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as, refuse_masked
+from gonio.geometry import ANGLES_DEG
 from gonio.shown import visible
 from gonio.typing import Array, ArrayLike, DataFrame, Floats, JsonObject
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from gonio.models import Model
 
-ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+ANGLES = ANGLES_DEG
 COLUMNS = (*ANGLES, "wavelength_nm", "polarisation", "brdf", "u_brdf", "u_random", "flag")
 SIDES = ("reflection", "transmission")
 """Words of the column `side`, which a table has where some of it is transmission."""
