@@ -14,7 +14,7 @@ import typer
 
 from gonio.cli import console
 from gonio.cli.options import Columns, reading, remember
-from gonio.disk import is_stream
+from gonio.disk import STDOUT, check_writable, is_stream
 from gonio.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -87,8 +87,6 @@ def convert(
 
 def _require_place(target: Path, original: Path) -> None:
     """Raise `ConfigError` where nothing can be written to the target, or it is what is read."""
-    from gonio.disk import check_writable, is_stream
-
     if target.is_dir():
         raise ConfigError(f"{target}: is a folder; name the file to write in it, as {target / 'table.csv'}")
     if target.is_file() and original.exists() and target.samefile(original):
@@ -192,8 +190,6 @@ def _textures(source: str, target: Path, more: object) -> None:
 
 def _done(target: Path, what: str) -> None:
     """Say what was written, and where; beside standard output, where that has the data."""
-    from gonio.disk import STDOUT
-
     (console.note if str(target) == STDOUT else console.show)(f"{target}: {what}")
 
 

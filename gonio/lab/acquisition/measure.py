@@ -13,9 +13,14 @@ from typing import TYPE_CHECKING
 
 from gonio import plugins
 from gonio.config import Table, load, parse
+from gonio.disk import check_writable
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
+from gonio.lab.acquisition.duration import Durations, as_begun, ordered
 from gonio.lab.acquisition.plan import Assessed, Plan, assess, said_beside
-from gonio.lab.acquisition.progress import Progress, Silent
+from gonio.lab.acquisition.progress import Progress, Remaining, Silent, Stop
+from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.run_folder import begun, check_new
+from gonio.lab.acquisition.run_settings import RunRequest
 from gonio.lab.acquisition.schedule import going_on, reference_pose, schedule
 from gonio.lab.rig import Pose, Rig, RigPlugin, Step, Target, kinematics, regions
 from gonio.lab.rig.calibration_files import with_calibrations
@@ -194,10 +199,6 @@ def carry_out(
     GonioError
         See `gonio.lab.acquisition.loop.measure`, `Run.create`, `Run.resume` and the rig's own documentation.
     """
-    from gonio.lab.acquisition.progress import Stop
-    from gonio.lab.acquisition.run_folder import begun
-    from gonio.lab.acquisition.run_settings import RunRequest
-
     out, progress = Path(out), progress or Silent()
     before = resume and begun(out)
     plan, rig, points, sampler = prepared(plan, rig, out if before else None)
@@ -217,10 +218,8 @@ def _measured(
 ) -> Run:  # fmt: skip
     """A new run of these steps; without steps, one that has begun is gone on with. Errors say how the rig was left."""
     from gonio.lab.acquisition.loop import measure
-    from gonio.lab.acquisition.progress import Remaining
     from gonio.lab.acquisition.repair import ASIDE
     from gonio.lab.acquisition.resuming import reopened
-    from gonio.lab.acquisition.run import Run
 
     resumed, entered = None, False
     try:
@@ -277,8 +276,6 @@ def prepared(
     plan, sampler = sampler_of(plan, rig.description)
     if plan.order == "as-written":
         return plan, rig, None, sampler
-    from gonio.lab.acquisition.duration import Durations, as_begun, ordered
-    from gonio.lab.acquisition.run import Run
 
     if begun is not None and (begun / "plan.csv").is_file():
         return as_begun(plan, Run.open(begun).planned.angles_deg.tolist()), rig, None, sampler
@@ -336,8 +333,6 @@ def check(
     plan: Plan, rig: RigChoice, out: Path, *, sample: SampleDescription | None, seed: int, resume: bool, yes: bool
 ) -> Prepared:
     """Raise what `carry_out` would raise before it touches a device; its parameters. What `assessed` found."""
-    from gonio.lab.acquisition.run_folder import begun
-
     plan, rig, points, _ = seen = assessed(plan, rig)
     check_patches(rig, sample)
     steps = rig.schedule(plan, points)
@@ -349,9 +344,6 @@ def check(
 
 def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int, resume: bool, yes: bool) -> Rig:
     """The rig, built but not entered, after every check that needs no device."""
-    from gonio.disk import check_writable
-    from gonio.lab.acquisition.run_folder import begun, check_new
-
     attended = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     device = rig.open(sample=sample, seed=seed, confirm=attended and not yes)
     if sample is None and device.repeatable:

@@ -46,6 +46,7 @@ from gonio.disk import (
     write_own,
 )
 from gonio.errors import ConfigError, DataError, os_error_as
+from gonio.formats import native
 from gonio.geometry import ANGLES_DEG
 from gonio.lab.acquisition.frame_writer import NAME, label_of
 from gonio.lab.acquisition.journal import Event, Events, Index, Journal, Steps, first_event, read_events
@@ -447,8 +448,6 @@ class Run:
         DataError
             The table is not valid.
         """
-
-        from gonio.formats import native
 
         with os_error_as(ConfigError, f"{self.path / TABLE[0]}: cannot be written"):
             with work_folder(self.path, "table") as work:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gonio import lost
-from gonio.disk import free_name, put, put_picture
+from gonio.disk import check_writable, free_name, put, put_picture
 from gonio.errors import ConfigError, DataError
 from gonio.lab.acquisition import exposure
 from gonio.lab.by_hand import frame_analysis
@@ -113,8 +113,6 @@ def require_free(file: Path) -> tuple[Path, Path]:
     """The names of a frame and of its picture, of which a free one is found; `ConfigError` where that of the frame is
     taken, or of no format, or cannot be written.
     """
-    from gonio.disk import check_writable
-
     if file.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{file}: a frame is written as {', '.join(SUFFIXES)}; the name must end so")
     if file.exists():

@@ -20,6 +20,7 @@ import typer
 
 from gonio.cli import console
 from gonio.cli.signals import undisturbed
+from gonio.disk import check_writable
 from gonio.errors import ConfigError, DeviceError, Disturbed, GonioError, Interrupted
 from gonio.lab.commands.opened import (
     AsJson,
@@ -405,8 +406,6 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 def _scan_file(axis: str, out: Path | None) -> Path:
-    from gonio.disk import check_writable
-
     file, number = out or Path(f"scan-{axis}.csv"), 1
     while file.exists() or file.with_suffix(".png").exists():
         if out is not None:

@@ -14,6 +14,7 @@ from gonio.cli import console
 from gonio.errors import ConfigError
 from gonio.lab.commands import plans
 from gonio.lab.commands.progress import on_screen
+from gonio.platform import command_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +42,6 @@ def measure(
     from gonio.lab.acquisition.progress import Pause
     from gonio.lab.acquisition.run import Run
     from gonio.lab.acquisition.run_folder import begun
-    from gonio.platform import command_line
     from gonio.samples.files import load_sample
 
     asked, chosen = load_plan(plan), find_rig(rig)

@@ -16,6 +16,7 @@ import typer
 
 from gonio import disk
 from gonio.cli import console
+from gonio.disk import check_writable
 from gonio.errors import ConfigError, DeviceError, Interrupted
 
 if TYPE_CHECKING:
@@ -57,8 +58,6 @@ def require_new(out: Path, *beside: Path) -> None:
     """Raise `ConfigError` where OUT is no name for a new .toml, or it, or what is written beside it, is there or cannot
     be written.
     """
-    from gonio.disk import check_writable
-
     for name in (out, *beside):
         if name.exists():
             raise ConfigError(f"{name}: is there already; name another file with --out")

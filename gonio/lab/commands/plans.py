@@ -13,6 +13,7 @@ import typer
 from gonio import canvas
 from gonio.cli import console
 from gonio.errors import ConfigError, os_error_as
+from gonio.progress import duration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -176,7 +177,6 @@ def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[S
     from gonio.lab.acquisition.duration import Durations
     from gonio.lab.acquisition.schedule import Schedule
     from gonio.lab.acquisition.waits import Bytes, free_bytes, size
-    from gonio.progress import duration
 
     durations = Durations(rig.description, written.bands(rig.description))
     visits = sum(step.kind == "reference" for step in steps)

@@ -43,37 +43,28 @@ def repair_run(run: Folder) -> None:
     if done is None:
         console.show(f"{run}: journal and frames are whole; nothing was changed")
         return
-    if done.foreign:
-        console.note(
-            f"{len(done.foreign)} frames say that they belong to another run. They count for nothing here, and stay "
-            "where they are; --resume moves them to set-aside/:"
-        )
-        for line in some(done.foreign):
-            console.note(f"  frames/{line}")
+    _tell(
+        [f"frames/{name}" for name in done.foreign],
+        "say that they belong to another run. They count for nothing here, and stay where they are; --resume moves "
+        "them to set-aside/:",
+    )
     if not done.changed:
         console.show(f"{run}: the journal is whole, and so are the frames that it names; nothing was changed")
         return
     if done.journal is not None:
         console.note(f"the journal that was there is kept as {done.journal}")
-    if done.damaged:
-        console.note(f"{len(done.damaged)} frames are missing or damaged; their steps will be taken again:")
-        for line in some(done.damaged):
-            console.note(f"  {line}")
-    if done.undetermined:
-        console.note(
-            f"{len(done.undetermined)} frames do not say enough of themselves: a step counts where its last frame "
-            "holds the step's record and all its frames are whole. Pose and exposures of the others cannot be "
-            "determined; they stay where they are, and their steps will be taken again:"
-        )
-        for line in some(done.undetermined):
-            console.note(f"  frames/{line}")
-    if done.unproved:
-        console.note(
-            f"{len(done.unproved)} frames of an earlier version hold no checksum of their pixels, and the journal's is "
-            "lost: nothing tells whether they are as they were taken:"
-        )
-        for line in some(done.unproved):
-            console.note(f"  frames/{line}")
+    _tell(done.damaged, "are missing or damaged; their steps will be taken again:")
+    _tell(
+        [f"frames/{name}" for name in done.undetermined],
+        "do not say enough of themselves: a step counts where its last frame holds the step's record and all its "
+        "frames are whole. Pose and exposures of the others cannot be determined; they stay where they are, and their "
+        "steps will be taken again:",
+    )
+    _tell(
+        [f"frames/{name}" for name in done.unproved],
+        "of an earlier version hold no checksum of their pixels, and the journal's is lost: nothing tells whether they "
+        "are as they were taken:",
+    )
     for line in done.untold:
         console.note(line)
     steps = len(Run.open(run).steps())
@@ -81,6 +72,14 @@ def repair_run(run: Folder) -> None:
         f"{run}: the journal holds {steps} steps, {len(done.rebuilt)} of them made again from their frames",
         "next: gonio measure ... --resume, as the run was begun: " + Run.open(run).settings.run.command,
     )
+
+
+def _tell(frames: list[str], what: str) -> None:
+    """Say what is the matter with frames, and with which, where there are any."""
+    if frames:
+        console.note(f"{len(frames)} frames {what}")
+        for line in some(frames):
+            console.note(f"  {line}")
 
 
 def some(lines: list[str]) -> list[str]:
