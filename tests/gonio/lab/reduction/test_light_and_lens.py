@@ -113,7 +113,7 @@ def test_colours_of_a_mosaic_are_pictures_of_their_own() -> None:
     mosaic = np.arange(16.0).reshape(4, 4)
     assert stray_light.planes(camera, mosaic, "R").tolist() == [[0, 2], [8, 10]]
     assert stray_light.planes(camera, mosaic, "G").tolist() == [[2.5, 4.5], [10.5, 12.5]]  # the mean of two
-    assert stray_light.mean_of_channel(camera, mosaic, "B") == 10.0
+    assert stray_light.planes(camera, mosaic, "B").mean() == 10.0
     assert (stray_light.pitch(camera, "B"), stray_light.pitch(camera, "mono")) == (2, 1)
 
 
