@@ -178,7 +178,7 @@ def _u_points(found: Reduction, points: Sequence[MapPoint], rows: npt.NDArray[np
     parts = found.budget.iloc[rows]
     cancel = (parts[list(OF_REGION)].to_numpy(dtype=float) ** 2).sum(axis=1)
     brdf, u = (found.table.iloc[rows][name].to_numpy(dtype=float) for name in ("brdf", "u_random"))
-    lamp = np.array([point.merged.of_lamp / point.level**2 for point in points])
+    lamp = np.array([point.of_lamp / point.level**2 for point in points])
     return np.asarray(np.sqrt(np.maximum(u**2 - cancel, 0.0) + lamp) / abs(brdf))
 
 
