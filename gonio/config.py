@@ -5,6 +5,7 @@ Ranges of numbers that keys of a rig file share.
 
 import re
 import tomllib
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
@@ -247,8 +248,8 @@ def numbers_in(tables: Any, where: str = "") -> dict[str, float]:
     return {name: number for path, value in inner for name, number in numbers_in(value, path).items()}
 
 
-def with_numbers(tables: Any, numbers: dict[str, float], where: str = "") -> Any:
-    """Nested tables and lists with other numbers at some of the paths of `numbers_in`."""
+def with_numbers(tables: Any, numbers: Mapping[str, Any], where: str = "") -> Any:
+    """Nested tables and lists with other numbers, or spectra, at some of the paths of `numbers_in`."""
     if isinstance(tables, dict):
         return {
             key: with_numbers(value, numbers, f"{where}.{key}" if where else str(key)) for key, value in tables.items()

@@ -40,7 +40,7 @@ import numpy as np
 from gonio import formats, polarisation
 from gonio.disk import is_stream, only_file
 from gonio.errors import ConfigError, DataError, os_error_as
-from gonio.formats import native, own_columns, rt300s
+from gonio.formats import channels, native, own_columns, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
 from gonio.formats.reader import (
     ANGLES,
@@ -366,8 +366,11 @@ class Reading:
     """Their own names and units of columns, as for `read`."""
 
 
-def tables(spec: str | Path, how: Reading | None = None) -> dict[str, DataFrame]:
+def tables(spec: str | Path, how: Reading | None = None, *, apart: bool = False) -> dict[str, DataFrame]:
     """The tables that `FILE`, `RUN` or `FILE:SAMPLE` on a command line names, by sample.
+
+    The channels red, green and blue of a sample are one table (`gonio.formats.channels.joined`), unless they shall
+    stand `apart`.
 
     Raises
     ------
@@ -377,7 +380,8 @@ def tables(spec: str | Path, how: Reading | None = None) -> dict[str, DataFrame]
     path, sample = split(spec)
     how = Reading() if how is None or Path(path).is_dir() else how
     frame = read(path, sample=sample, columns=how.columns)
-    return samples(frame) if sample is None else {sample: frame}
+    found = samples(frame) if sample is None else {sample: frame}
+    return found if apart else channels.joined(found)
 
 
 def unpolarised(frame: DataFrame) -> DataFrame:

@@ -202,8 +202,6 @@ def test_what_cannot_be_saved_is_told_before_the_fit(table: Path, tmp_path: Path
     for words, save in (("no folder", "absent/a.toml"), ("ending", "sample.txt")):
         with pytest.raises(ConfigError, match=words):
             commands.fit("oren-nayar", str(table), save=tmp_path / save)
-    with pytest.raises(ConfigError, match="one value of albedo"):
-        commands.fit("oren-nayar", str(table), each=["albedo"], save=tmp_path / "a.toml")
 
 
 def test_parameters_as_a_fit_names_them_make_a_cook_torrance_sample() -> None:

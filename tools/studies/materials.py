@@ -122,7 +122,7 @@ def _samples(sources: Sequence[str]) -> tuple[dict[str, tuple[str, str]], dict[s
         if file.suffix == ".fit":
             continue
         try:
-            for sample in measurement.tables(str(file)):
+            for sample in measurement.tables(str(file), apart=True):
                 name = f"{label} {sample}" if sample not in label else label
                 found["".join(c if c.isalnum() or c in "-._" else "-" for c in name)] = str(file), sample
         except (GonioError, ValueError) as error:
@@ -144,7 +144,7 @@ def judged(name: str, file: str, sample: str, models: tuple[str, ...]) -> Record
     """The record of one material."""
     record: Record = {"format": Settings().format, "name": name, "models": {}}
     try:
-        data = _part(observations(measurement.tables(file)[sample], name).nearest(None)[0])
+        data = _part(observations(measurement.tables(file, apart=True)[sample], name).nearest(None)[0])
         if len(data) < FEWEST:
             return {**record, "why": f"{len(data)} usable values"}
         choice = choose(data, candidates(models), name=name, all_of_them=True)

@@ -17,6 +17,7 @@ from gonio.errors import ConfigError, Incomplete
 from gonio.hdf5 import is_map
 from gonio.measurement import Reading
 from gonio.platform import command_line
+from gonio.spectra import RGB_NM
 from gonio_analysis import report as comparison
 from gonio_analysis import result_records as results
 from gonio_analysis.commands.arguments import once, with_u_ior
@@ -27,7 +28,7 @@ from gonio_analysis.fitting.observations import Observations, check_u_rel, check
 from gonio_analysis.fitting.optical_constants import Constants, NamedSample, TakenConstants
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
-from gonio_analysis.fitting.spectrum import fit_table
+from gonio_analysis.fitting.spectrum import fit_every
 from gonio_analysis.report import appearance as appearance_page
 from gonio_analysis.report import change as change_page
 from gonio_analysis.report import files
@@ -161,22 +162,23 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
     asked = replace(asked, ior=taken.values[0])
     simulated = [made for *_, made in read]
     if wanted.save is not None:
-        saving.check_target(wanted.save, asked)
+        saving.check_target(wanted.save)
     if wanted.residual:
         saving.check_residual(wanted.save, asked)
     name, data = read[0][0], together(dict(zip(_short(tables), (data for _, data, _ in read), strict=True)))
     if wanted.u_ior is not None:
         asked = with_u_ior(asked, wanted.u_ior, data.nearest(asked.wavelength_nm)[1])
-    result, *others = fit_table(data, asked, name=" + ".join(tables), say=console.note)
+    every = (wanted.save is not None or data.of_channels) and wanted.u_ior is None
+    result, *others = fit_every(data, asked, name=" + ".join(tables), every=every, say=console.note)
     walked: dict[str, Interval] = {}
-    if wanted.intervals and others:
+    if wanted.intervals and result.shared is not None:
         walked = profile_likelihood.profiles(result).intervals
     elif wanted.intervals:
         result, walked = profile_likelihood.walked(result, lambda start: fitting.fit(data, replace(asked, start=start)))
     rho_dh = of_model(result)
     if wanted.save is not None:
         source = " + ".join(map(shown.marked, tables, simulated))
-        saving.save(result, wanted.save, name=name, source=source, residual=wanted.residual)
+        saving.save(result, wanted.save, name=name, source=source, others=others, residual=wanted.residual)
     remember(tables, how)
     _say(taken.remember())
     if wanted.as_json:
@@ -193,7 +195,10 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
         return
     if 0 < sum(simulated) < len(tables):
         console.note("simulated: " + ", ".join(t for t, made in zip(tables, simulated, strict=True) if made))
-    _print(result, shown.marked(name, simulated[0]), walked)
+    marked = shown.marked(name, simulated[0])
+    _print(result, marked, walked)
+    if others and data.of_channels:
+        _print_channels([result, *others], marked)
     if wanted.residual:
         console.note(after_misfit(result))
     if rho_dh:
@@ -254,6 +259,18 @@ def _print(result: fitting.FitResult, sample: str, walked: dict[str, Interval]) 
         rows.add_row(name, value + (f" ({e.material})" if e.material else ""), *between, kind + remark)
     console.show(rows, of_fit(result))
     _say(filter(None, [*result.notes, result.assumes]))
+
+
+def _print_channels(fits: Sequence[fitting.FitResult], sample: str) -> None:
+    """A column a channel, of what differs."""
+    by_wave = {one.wavelength_nm: one for one in fits}
+    columns = [by_wave[nm] for nm in RGB_NM.values() if nm in by_wave]
+    rows = console.table("parameter", *(c for c, nm in RGB_NM.items() if nm in by_wave), title=f"{sample} by channel")
+    for name, e in fits[0].parameters.items():
+        if not e.fixed:
+            each = (one.parameters[name] for one in columns)
+            rows.add_row(name, *(quantity(with_u(one.value, one.u), one.unit) for one in each))
+    console.show(rows)
 
 
 def _say(notes: Iterable[str]) -> None:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gonio import measurement, polarisation
 from gonio.checks.values import CheckedValues
 from gonio.errors import ConfigError, DataError
+from gonio.formats.channels import is_joined
 from gonio.geometry import AT_HORIZON, Directions
 from gonio.measurement import of_reader, said_once
 from gonio.models.polarised import Light
@@ -125,6 +126,8 @@ class Observations:
     there are none."""
     u_rel_assumed: float | None = None
     """Relative uncertainty that somebody assumes, where the table states none: `covariance` is then made from it."""
+    of_channels: bool = False
+    """Whether the wavelengths are nominal ones of the channels red, green and blue (`gonio.formats.channels`)."""
 
     def __len__(self) -> int:
         return int(self.brdf.size)
@@ -346,6 +349,7 @@ def observations(
         unused=unused,
         notes=tuple(notes),
         u_rel_assumed=None if stated[keep].any() else u_rel,
+        of_channels=is_joined(table),
         **_of_angles(table, keep),
         states=_states(table["polarisation"].to_numpy(object)[keep]),
         first=_first(
@@ -491,6 +495,7 @@ def together(several: Mapping[str, Observations]) -> Observations:
         u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),
         states=_states(np.concatenate(words)),
         first=_first(np.concatenate([one.first if one.first.size else np.full(len(one), np.nan) for one in each])),
+        of_channels=all(one.of_channels for one in each),
     )
 
 

@@ -37,6 +37,9 @@ MOST_VALUES = 200_000
 DISFAVOURED = 10.0
 """What a geometry of its own has to gain in AIC at one wavelength before sharing is called into question."""
 
+ROUNDED = 1e-6
+"""A misfit below this is the rounding of a file's values, or the end of a search, and speaks against nothing."""
+
 
 def geometry(problem: Problem) -> tuple[str, ...]:
     """The free parameters that belong to the surface."""
@@ -71,6 +74,68 @@ def fit_table(
     if asked.wavelength_nm is not None or not shares(asked, data):
         return [first]
     return sorted(fit_shared(data, first, name=name, say=say), key=lambda r: r.wavelength_nm != first.wavelength_nm)
+
+
+def fit_every(
+    table: Observations, asked: FitRequest, *, name: str = "the table", every: bool = True, say: Say = silent
+) -> list[FitResult]:
+    """Fit one model at all wavelengths of a table, with one geometry unless the data ask for another at some of them.
+
+    They are asked at the wavelength that is reported, the shortest and the longest: each of these is fitted alone, too.
+
+    Parameters
+    ----------
+    table
+        Usable values. Where they state no uncertainties, `MOST_VALUES` of more are taken.
+    asked
+        One that names a wavelength is for that one alone, and one of `each` for all of them in one fit.
+    name, say
+        As for `fit_table`.
+    every
+        Whether all wavelengths are fitted also where they have nothing in common.
+
+    Returns
+    -------
+    list of FitResult
+        The fit that is reported first, then those at the other wavelengths; `shared` is None where each has its own
+        geometry.
+    """
+    waves = [w for w in table.wavelengths if not math.isnan(w)]
+    if asked.wavelength_nm is not None or asked.each is not None or len(waves) < 2:
+        return [fit(table, asked, name=name, say=say)]
+    data = thinned(table)
+    first = fit(data, asked, name=name, say=say)
+    shown = first.wavelength_nm
+    together = fit_shared(data, first, name=name, say=say) if shares(asked, data) else [first]
+    by_wave = {one.wavelength_nm: one for one in together}
+
+    def alone(wave: float) -> FitResult:
+        near = [{n: e.value for n, e in one.parameters.items()} for one in (by_wave.get(wave), first) if one]
+        own = replace(asked, start=near)
+        return first if wave == shown else fit(data.at(wave), own, name=f"{name} at {wave:g} nm", say=say)
+
+    if len(together) > 1:
+        ends = {wave: alone(wave) for wave in {shown, min(by_wave), max(by_wave)}}
+        against = [said for wave, one in ends.items() for said in _tension(one, by_wave[wave])]
+        if not against:
+            return sorted(together, key=lambda r: r.wavelength_nm != shown)
+        first = replace(first, notes=[*first.notes, f"Each wavelength has a geometry of its own. {against[0]}"])
+    elif not every:
+        return [first]
+    others = [alone(wave) for wave in picked(waves, shown) if wave != shown]
+    return [first, *others]
+
+
+def thinned(data: Observations) -> Observations:
+    """The same, or where nothing weighs more values than `MOST_VALUES` so many of them, evenly taken."""
+    every = -(-len(data) // MOST_VALUES)
+    stated = data.covariance is not None and data.u_rel_assumed is None
+    if every == 1 or stated:
+        return data
+    rows = [np.flatnonzero(data.wavelength_nm == wave)[::every] for wave in data.wavelengths]
+    taken = data.take(np.sort(np.concatenate(rows)))
+    said = f"{len(taken)} of {len(data)} values are fitted, evenly taken: without uncertainties more tell no more."
+    return replace(taken, notes=(*data.notes, said))
 
 
 def fit_shared(
@@ -245,7 +310,7 @@ def _tension(first: FitResult, result: FitResult) -> list[str]:
     )
     said = f"{result.wavelength_nm:g} nm alone asks for another geometry: {apart} describes it better"
     if here is not None or own is not None:  # of models that are not true: whether the misfit lies beyond its interval
-        if here is None or (own is not None and here.tau <= own.interval[1]):
+        if here is None or here.tau < ROUNDED or (own is not None and here.tau <= own.interval[1]):
             return []
         to = "" if own is None else f", to {100 * own.tau:.2g} % and not {100 * here.tau:.2g} %"
         return [f"{said}{to}."]

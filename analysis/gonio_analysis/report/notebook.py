@@ -10,6 +10,7 @@ import numpy as np
 
 from gonio import measurement, plugins
 from gonio.errors import ArgumentError, ConfigError, DataError
+from gonio.formats import channels
 from gonio.models import Model, Sum
 from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
@@ -239,7 +240,7 @@ def _table(table: Table, name: str | None) -> tuple[DataFrame, str]:
     frames = (
         measurement.tables(table)
         if isinstance(table, (str, Path))
-        else {n: measurement.unpolarised(part) for n, part in measurement.samples(table).items()}
+        else channels.joined({n: measurement.unpolarised(part) for n, part in measurement.samples(table).items()})
     )
     if len(frames) > 1:
         raise ConfigError(f"{name or 'the table'} holds {len(frames)} samples: take one, of: {'; '.join(frames)}")

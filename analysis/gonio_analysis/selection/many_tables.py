@@ -195,7 +195,7 @@ def _rows(job: _Job) -> list[Row]:
     """The rows of one table: one a sample that it holds."""
     row = {"table": job.table, "sha256": job.digest, "settings": job.settings}
     try:
-        samples = measurement.tables(job.table, job.how)
+        samples = measurement.tables(job.table, job.how, apart=True)
     except Exception as error:
         return [row | {"flag": _reason(error)}]
     out = []

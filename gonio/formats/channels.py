@@ -1,0 +1,63 @@
+"""Samples that are the channels red, green and blue of one, as files in colour have them."""
+
+from collections.abc import Mapping
+
+from gonio.spectra import RGB_NM
+from gonio.typing import DataFrame
+
+_NOTE = (
+    "The samples red, green and blue are the channels of one: broad bands, which stand at nominal wavelengths"
+    f" ({', '.join(f'{RGB_NM[colour]:g}' for colour in RGB_NM)} nm)."
+)
+
+
+def name_of(wavelength_nm: float, table: DataFrame) -> str:
+    """The name of the channel at one of the wavelengths of a joined table; "" of any other."""
+    return next((c for c, nm in RGB_NM.items() if nm == wavelength_nm), "") if is_joined(table) else ""
+
+
+def is_joined(table: DataFrame) -> bool:
+    """Whether a table was made of three channels by `joined`."""
+    return bool(table.attrs.get("channels"))
+
+
+def joined(samples: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
+    """Tables by sample; "paint red", "paint green" and "paint blue" become one, "paint", with a wavelength a channel.
+
+    Parameters
+    ----------
+    samples
+        Tables by the names of their samples. Channels are broad bands without a wavelength; other tables stay as they
+        are.
+
+    Returns
+    -------
+    dict
+        A joined table has the nominal wavelengths `gonio.spectra.RGB_NM`, and the names of its channels in
+        `attrs["channels"]`.
+    """
+    import pandas as pd
+
+    def whole(name: str) -> dict[str, str]:
+        """The names of the three channels that a sample belongs with, by colour; none where one of them is missing."""
+        stem, _, colour = name.rpartition(" ")
+        names = {c: f"{stem} {c}".strip() for c in RGB_NM}
+        broad = colour in RGB_NM and all(
+            n in samples and samples[n]["wavelength_nm"].isna().all() for n in names.values()
+        )
+        return names if broad else {}
+
+    out = dict[str, DataFrame]()
+    for name, table in samples.items():
+        channels = whole(name)
+        stem = name.rpartition(" ")[0] or "colour"
+        if not channels:
+            out[name] = table
+        elif stem not in out:
+            parts = [samples[channels[colour]].assign(wavelength_nm=nm) for colour, nm in RGB_NM.items()]
+            one = pd.concat(parts, ignore_index=True)
+            own = {"sample": stem, "channels": list(RGB_NM), "notes": [*(table.attrs.get("notes") or []), _NOTE]}
+            bands = [{"name": colour, "centre_nm": nm} for colour, nm in RGB_NM.items()]
+            one.attrs = {**table.attrs, **own, "bands": bands}
+            out[stem] = one
+    return out
