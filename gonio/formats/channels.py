@@ -56,8 +56,9 @@ def joined(samples: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
         elif stem not in out:
             parts = [samples[channels[colour]].assign(wavelength_nm=nm) for colour, nm in RGB_NM.items()]
             one = pd.concat(parts, ignore_index=True)
-            own = {"sample": stem, "channels": list(RGB_NM), "notes": [*(table.attrs.get("notes") or []), _NOTE]}
-            bands = [{"name": colour, "centre_nm": nm} for colour, nm in RGB_NM.items()]
-            one.attrs = {**table.attrs, **own, "bands": bands}
+            one.attrs = dict(table.attrs)
+            one.attrs["sample"], one.attrs["channels"] = stem, list(RGB_NM)
+            one.attrs["bands"] = [{"name": colour, "centre_nm": nm} for colour, nm in RGB_NM.items()]
+            one.attrs["notes"] = [*(table.attrs.get("notes") or []), _NOTE]
             out[stem] = one
     return out

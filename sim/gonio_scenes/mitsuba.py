@@ -146,6 +146,8 @@ class _Writer:
             shown = tuple(map(float, waves[first : first + CHANNELS]))
             # the remaining channels repeat the last wavelength
             channels = np.minimum(np.arange(first, first + CHANNELS), waves.size - 1)
+            if scene.tables.of_channels:  # red first
+                shown, channels = shown[::-1], channels[::-1]
             suffix = "" if waves.size <= CHANNELS else "-" + "-".join(f"{wave:g}" for wave in shown) + "nm"
             of = channels, suffix
             bsdfs = [

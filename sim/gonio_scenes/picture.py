@@ -125,12 +125,16 @@ def display(scene: Scene, radiance: Floats) -> tuple[Image, float]:
 def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
     """XYZ of radiances (..., wavelengths), and the illuminant that all lights share, if they do.
 
+    Those of channels are linear sRGB as they stand.
+
     Where they do, what is interpolated between the scene's wavelengths is the reflection alone, which is smooth: the
     illuminant's own structure stays whole, however few wavelengths there are.
     """
     from gonio import colour
 
     waves = scene.wavelength_nm
+    if scene.tables.of_channels:
+        return radiance @ colour.SRGB.to_xyz.T[::-1], None  # blue, green, red: wavelengths ascend
     visible = (waves >= colour.wavelengths()[0]) & (waves <= colour.wavelengths()[-1])
     shared = {
         light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light

@@ -13,7 +13,7 @@ from gonio.errors import ConfigError, DataError, did_you_mean
 from gonio.lab.acquisition.measure import find_rig
 from gonio.lab.rig.description import RigDescription
 from gonio.models import examine
-from gonio.spectra import Wavelength
+from gonio.spectra import CHANNELS_NM, Wavelength
 from gonio.typing import Floats
 from gonio_scenes import camera as cameras
 from gonio_scenes import lights, polarised
@@ -109,8 +109,10 @@ class SceneFile(Strict):
 
     name: str
     wavelength_nm: Annotated[
-        tuple[Wavelength, ...] | WavelengthRange, table_or(WavelengthRange, "a list of wavelengths in nm")
+        tuple[Wavelength, ...] | WavelengthRange | Literal["rgb"],
+        table_or(WavelengthRange, 'a list of wavelengths in nm, "rgb"'),
     ]
+    """Or "rgb": the three channels of linear sRGB, each at its nominal wavelength (`gonio.spectra.RGB_NM`)."""
     camera: CameraTable
     shape: tuple[AnyShape, ...]
     material: dict[str, MaterialTable]
@@ -144,6 +146,12 @@ class SceneFile(Strict):
             raise ValueError("light: one ambient light is all: add their radiances")
         if self.camera.rig is None and any(isinstance(light, RigTable) for light in self.light):
             raise ValueError('light: kind = "rig" is the lamp of camera.rig, which is missing')
+        for k, light in enumerate(self.light):
+            if self.of_channels and isinstance(light.spectrum, str) and light.spectrum != "D65":
+                raise ValueError(
+                    f'light[{k + 1}].spectrum = "{light.spectrum}": in channels of sRGB white is D65; leave it out, or '
+                    "list wavelengths in nm"
+                )
         if self.photograph is not None and len(waves) != 1:
             raise ValueError(
                 f"photograph: a raw frame is taken at one wavelength, and wavelength_nm holds {len(waves)}: write a "
@@ -153,7 +161,14 @@ class SceneFile(Strict):
 
     def waves(self) -> tuple[float, ...]:
         """The wavelengths [nm]."""
+        if self.of_channels:
+            return CHANNELS_NM
         return self.wavelength_nm.all() if isinstance(self.wavelength_nm, WavelengthRange) else self.wavelength_nm
+
+    @property
+    def of_channels(self) -> bool:
+        """Whether the radiances are those of the channels of linear sRGB."""
+        return self.wavelength_nm == "rgb"
 
 
 @dataclass(frozen=True)
@@ -228,6 +243,8 @@ def _built(tables: SceneFile, source: Path) -> Scene:
     shining: list[Light] = []
     ambient: Floats | None = None
     for k, light in enumerate(tables.light):
+        if tables.of_channels and isinstance(light.spectrum, str):  # white, which is 1 in each channel
+            light = light.model_copy(update={"spectrum": None})
         try:
             if isinstance(light, AmbientTable):
                 ambient = lights.power(light, light.radiance, waves)
