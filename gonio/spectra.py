@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gonio.config import Strict, parse
-from gonio.errors import ConfigError
+from gonio.errors import ArgumentError, ConfigError
 from gonio.typing import Floats
 
 WAVELENGTHS = (1e-6, 1e12)
@@ -45,12 +45,12 @@ class Spectrum(Strict):
 
         Raises
         ------
-        ConfigError
+        ArgumentError
             The wavelength lies outside the table.
         """
         first, last = self.wavelength_nm[0], self.wavelength_nm[-1]
         if not first <= wavelength_nm <= last:
-            raise ConfigError(
+            raise ArgumentError(
                 f"a spectrum from {first:g} to {last:g} nm has no value at {wavelength_nm:g} nm: extend the table, or "
                 "change wavelength_nm"
             )
@@ -112,7 +112,7 @@ def at_wavelength(parameters: Any, wavelength_nm: float, where: str = "") -> Any
         try:
             return spectra_in(parameters, where)[where].at(wavelength_nm)
         except ConfigError as error:
-            raise error if str(error).startswith(where) else ConfigError(f"{where}: {error}") from None
+            raise error if str(error).startswith(where) else type(error)(f"{where}: {error}") from None
     if isinstance(parameters, Mapping):
         return {k: at_wavelength(v, wavelength_nm, f"{where}.{k}" if where else str(k)) for k, v in parameters.items()}
     if isinstance(parameters, Sequence) and not isinstance(parameters, str):

@@ -82,6 +82,14 @@ The paper prints neither phosphors nor a matrix.
 """
 
 
+def channel_weights() -> Floats:
+    """XYZ of the channels of linear sRGB, (3, 3) as `weights`: a row each of blue, green and red, by wavelength.
+
+    Their sum is the white of D65 (`white`), from which that of sRGB differs by its rounding to four digits.
+    """
+    return np.asarray(SRGB.to_xyz.T[::-1] * white_of("D65") / SRGB.to_xyz.sum(axis=1))
+
+
 def adaptation(white: ArrayLike, to: ArrayLike) -> Floats:
     """The matrix (3, 3) that turns XYZ seen under one white into the same look under another, after Bradford.
 

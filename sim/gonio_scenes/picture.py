@@ -134,7 +134,7 @@ def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
 
     waves = scene.wavelength_nm
     if scene.tables.of_channels:
-        return radiance @ colour.SRGB.to_xyz.T[::-1], None  # blue, green, red: wavelengths ascend
+        return radiance @ colour.channel_weights(), "D65"
     visible = (waves >= colour.wavelengths()[0]) & (waves <= colour.wavelengths()[-1])
     shared = {
         light.spectrum if isinstance(light.spectrum, str) else light.spectrum is None for light in scene.tables.light

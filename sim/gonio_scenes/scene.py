@@ -161,7 +161,7 @@ class SceneFile(Strict):
 
     def waves(self) -> tuple[float, ...]:
         """The wavelengths [nm]."""
-        if self.of_channels:
+        if isinstance(self.wavelength_nm, str):
             return CHANNELS_NM
         return self.wavelength_nm.all() if isinstance(self.wavelength_nm, WavelengthRange) else self.wavelength_nm
 

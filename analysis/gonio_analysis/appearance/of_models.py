@@ -16,6 +16,7 @@ from gonio.errors import ArgumentError
 from gonio.geometry import ANGLES, Directions
 from gonio.models.corrected import UNMEASURED, Correction, folded, reflected
 from gonio.shown import finite
+from gonio.spectra import CHANNELS_NM
 from gonio.typing import Floats
 from gonio_analysis.appearance.assembled import MULTI_ANGLE, RETRO, _assembled, _key, _Numbers
 from gonio_analysis.appearance.glossmeter import BOTH_COUNT, GLOSSMETERS, HAZEMETERS, gloss, parts
@@ -244,6 +245,9 @@ def _in_plane(theta_i_deg: float, signed_deg: float) -> Directions:
 def _xyz(model: Model, theta_i_deg: float, aspecular_deg: float) -> Floats:
     """XYZ in a direction; raises `ArgumentError` where an index is not known over the whole of the spectrum."""
     at = _in_plane(theta_i_deg, theta_i_deg - aspecular_deg)
+    if isinstance(model, models.SpectralModel) and model.of_channels:
+        channels = model.brdf(*at.angles, wavelength_nm=np.array(CHANNELS_NM))
+        return np.asarray(channels @ (math.pi * colour.channel_weights()))
     spectrum = model.brdf(*at.angles, wavelength_nm=np.array(SPECTRUM_NM))
     return np.asarray(spectrum @ (math.pi * colour.weights(SPECTRUM_NM)))
 

@@ -309,14 +309,14 @@ def _retro(every: Sequence[Curve], n: int, entrance: float, observation: float) 
 
 def _table_colours(numbers: _Numbers, data: Observations, at: Observations, every: list[Curve]) -> None:
     waves = [w for w in data.wavelengths if 360.0 <= w <= 830.0]  # not a broad band, whose wavelength is NaN
-    coloured = (
+    coloured = data.of_channels or (
         len(waves) > 1
         and max(np.diff(waves)) <= LARGEST_STEP_NM + 1e-6
         and waves[0] <= REACH_NM[0]
         and waves[-1] >= REACH_NM[1]
     )
     if coloured:
-        matrix = math.pi * colour.weights(waves)
+        matrix = math.pi * (colour.channel_weights() if data.of_channels else colour.weights(waves))
         spectra = [(np.flatnonzero(np.abs(data.wavelength_nm - w) <= 1e-6), curves(data.at(w))) for w in waves]
     for theta_i, aspecular in MULTI_ANGLE:
         found: Sequence[Sampled | NotMeasured] = [_no_spectrum(data.wavelengths)] * 3

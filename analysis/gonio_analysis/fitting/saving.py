@@ -83,9 +83,11 @@ def save(
         A channel has no fit.
     """
     check_target(path)
-    fits = [result] if residual else sorted([result, *others], key=lambda one: one.wavelength_nm)
+    of_channels = result.data.of_channels
+    every = sorted([result, *others], key=lambda one: one.wavelength_nm, reverse=of_channels)  # red first
+    fits = [result] if residual else every
     found = _of_one(result) if result.problem.waves else _of_fits(fits)
-    numbers = _Numbers(found, result.data.of_channels and len(found.waves) > 1)
+    numbers = _Numbers(found, of_channels and len(found.waves) > 1)
     model = "sum" if "+" in result.name else result.name
     tables: TomlTable = {"name": name, "model": model, "parameters": numbers.tables}
     uncertainty = numbers.uncertainty()
@@ -114,7 +116,7 @@ class _Found:
     problem: Problem
     """Of one wavelength."""
     waves: Sequence[float]
-    """[nm], ascending."""
+    """[nm]"""
     index: Sequence[Ints]
     """Where the parameters of each wavelength stand in `vector`."""
     vector: Floats
