@@ -9,6 +9,7 @@ from gonio.errors import ConfigError
 from gonio.models.engine import Geometry
 from gonio.models.model import Model
 from gonio.models.parameters import Parameters, checked_wavelength
+from gonio.models.polarised import Light
 from gonio.spectra import ChannelValues, at_wavelength, nodes_nm, spectra_in
 from gonio.typing import ArrayLike, Floats
 
@@ -94,6 +95,9 @@ class SpectralModel(Model):
 
     def outside(self, wavelength_nm: float) -> str:
         return self.plain(wavelength_nm).outside(wavelength_nm)
+
+    def in_light(self, light: Light, evaluate: Callable[[Model], Floats], wavelength_nm: float) -> Floats:
+        return self.plain(wavelength_nm).in_light(light, evaluate, wavelength_nm)
 
     def btdf(
         self,

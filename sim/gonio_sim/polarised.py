@@ -40,6 +40,7 @@ def of_lobe(description: RigDescription, model: Model, scene: View, at: Directio
 def of_spike(description: RigDescription, model: Model, scene: View, at: Directions, wavelength_nm: float) -> Floats:
     """Factor on the specular spike, which reflects as one facet."""
     out = np.ones(at.theta_i.shape)
+    model = model.plain(wavelength_nm) if isinstance(model, SpectralModel) else model
     if not hasattr(model, "jones"):
         return out
     vector, row = _stokes(description, scene, at)
