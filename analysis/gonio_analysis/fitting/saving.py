@@ -126,12 +126,12 @@ class _Found:
 def _of_one(result: FitResult) -> _Found:
     """Of one fit of several wavelengths together."""
     problem = pose(replace(result.problem.asked, each=None))
+    waves = sorted(result.problem.waves, reverse=result.data.of_channels)
     place = {name: k for k, name in enumerate(result.free)}
     index = [
-        np.array([place[f"{n}@{wave:g}" if n in result.problem.each else n] for n in problem.free])
-        for wave in result.problem.waves
+        np.array([place[f"{n}@{wave:g}" if n in result.problem.each else n] for n in problem.free]) for wave in waves
     ]
-    return _Found(problem, result.problem.waves, index, result.vector, result.spread)
+    return _Found(problem, waves, index, result.vector, result.spread)
 
 
 def _of_fits(fits: Sequence[FitResult]) -> _Found:

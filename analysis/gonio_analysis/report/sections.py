@@ -12,6 +12,7 @@ from gonio.lost import kept
 from gonio_analysis.report.section import Section
 
 _MODULES = (
+    "channels",
     "beyond_reflection",
     "appearance",
     "checks",

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,6 +18,7 @@ from gonio_analysis.fitting.saving import save
 from gonio_analysis.fitting.spectrum import MOST_VALUES, fit_every
 
 from gonio import measurement
+from gonio.colour import SRGB
 from gonio.config import numbers_in
 from gonio.formats import channels
 from gonio.models import SpectralModel, build
@@ -145,3 +147,15 @@ def test_many_values_without_uncertainties_are_thinned() -> None:
     assert len(fits) == 3
     assert sum(len(one.data) for one in fits) <= MOST_VALUES
     assert any("evenly taken" in note for note in fits[0].notes)
+
+
+def test_a_report_shows_one_sample_with_its_colour(tmp_path: Path, painted: Path) -> None:
+    done = gonio(tmp_path, "compare", painted, "--models", "phong", "--out", tmp_path / "report", "--png")
+    assert done.returncode == 0, done.stderr
+    (sample,) = json.loads((tmp_path / "report" / "summary.json").read_text())["datasets"]
+    assert sample["name"] == "paint"
+    assert len(sample["models"]["phong"]["series"]) == 3
+    picture = cv2.imread(str(tmp_path / "report" / "figures" / "paint-colour.png"))
+    strip = SRGB.decode(picture[25, picture.shape[1] // 3, ::-1] / 255.0)  # a retro angle, away from the lobe
+    # k_d beside a perfect white; the lobe's foot adds 0.003 and a step of the picture is 0.009 at 0.5
+    assert strip == pytest.approx([0.5, 0.12, 0.05], abs=0.015)
