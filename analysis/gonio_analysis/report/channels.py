@@ -10,7 +10,7 @@ from gonio import colour
 from gonio.spectra import RGB_NM
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, curves
-from gonio_analysis.plots.in_plane import angle_axis, bars_above_0
+from gonio_analysis.plots.in_plane import angle_axis, bars_above_0, log_axis
 from gonio_analysis.report.blocks import Block, Figures, Heading
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.facts import DatasetSummary
@@ -61,7 +61,7 @@ def draw(d: Dataset, facts: DatasetSummary) -> Sequence[Drawing]:
 
 def _on_channels(figure: Any, *, theory: list[Floats], measured: list[tuple[Floats, Floats, Floats]]) -> None:
     strip, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1, 9))
-    figure.subplots_adjust(0.12, 0.13, 0.985, 0.98, hspace=0.06)
+    figure.subplots_adjust(0.12, 0.14, 0.97, 0.98, hspace=0.06)
     blue_first = np.pi * np.maximum(np.stack(theory, axis=-1)[:, ::-1], 0.0)
     seen = colour.display_srgb(blue_first @ colour.channel_weights())
     edge = float(np.degrees(ANGLES[-1]))
@@ -71,8 +71,10 @@ def _on_channels(figure: Any, *, theory: list[Floats], measured: list[tuple[Floa
         ax.plot(np.degrees(ANGLES), np.where(line > 0, line, np.nan), color=PAINT[name], lw=1.4, label=name)
         if np.any(brdf > 0):
             bars_above_0(ax, angle, brdf, u, color=PAINT[name], marker="o", ms=2.6, ls="", elinewidth=0.8)
-    ax.set_yscale("log")
+    every = np.concatenate([*theory, *(brdf for _, brdf, _ in measured)])
+    log_axis(ax, float(every[every > 0].min()), float(every.max()))
     angle_axis(ax)
+    ax.set_xlabel("signed angle of reflection (negative: retro side)")
     ax.set_ylabel("BRDF [1/sr]")
     ax.legend(frameon=False, fontsize=8)
 
