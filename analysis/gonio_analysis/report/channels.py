@@ -76,7 +76,7 @@ def _on_channels(figure: Any, *, theory: list[Floats], measured: list[tuple[Floa
     angle_axis(ax)
     ax.set_xlabel("signed angle of reflection (negative: retro side)")
     ax.set_ylabel("BRDF [1/sr]")
-    ax.legend(frameon=False, fontsize=8)
+    ax.legend(frameon=False, fontsize=8, ncols=3, loc="upper left")
 
 
 def _blocks(d: DatasetSummary, figures: ByKind) -> list[Block]:
