@@ -65,7 +65,7 @@ def read(data: bytes, path: Path) -> DataFrame:
     unmeasured = rows[:, 4] == 0
     notes = ["the format states no uncertainties and no solid angles"]
     if len(colours) > 1:
-        notes.append("X, Y and Z are samples of their own: three distributions, of which Y is the luminous one")
+        notes.append("X, Y and Z are samples of their own, of which Y is the luminous one; no published file was tried")
     elif math.isnan(wavelength):
         notes.append("the file states no wavelength")
     if unmeasured.any():
@@ -167,11 +167,16 @@ def _frame(incidence_deg: Floats | float) -> tuple[Floats, Floats, Floats]:
     return mirror, inward, np.cross(mirror, inward)
 
 
+def about_mirror(incidence: Floats | float, azimuth: Floats, radial: Floats) -> Floats:
+    """Unit vectors at angles [degrees] about the mirror direction; the source is at azimuth 0. Shapes broadcast."""
+    alpha, rho = (np.deg2rad(angle)[..., np.newaxis] for angle in (azimuth, radial))
+    mirror, inward, side = _frame(incidence)
+    return np.asarray(np.cos(rho) * mirror + np.sin(rho) * (np.cos(alpha) * inward + np.sin(alpha) * side))
+
+
 def _direction(incidence: float, azimuth: Floats, radial: Floats) -> Floats:
     """Unit vectors (azimuths, radials, 3) on a grid of angles [degrees] about the mirror direction."""
-    mirror, inward, side = _frame(incidence)
-    alpha, rho = (np.deg2rad(a)[..., np.newaxis] for a in np.meshgrid(azimuth, radial, indexing="ij"))
-    return np.asarray(np.cos(rho) * mirror + np.sin(rho) * (np.cos(alpha) * inward + np.sin(alpha) * side))
+    return about_mirror(incidence, *np.meshgrid(azimuth, radial, indexing="ij"))
 
 
 def _block(rotation: float, incidence: float, azimuth: Floats, radial: Floats, matrix: Floats) -> Floats:
@@ -256,7 +261,11 @@ FORMAT = Format(
     name="zemax",
     title="Zemax tabular BSDF",
     endings=(".bsdf",),
-    sniff=lambda head: re.search(rb"^Source\s+Measured", head, re.MULTILINE) is not None and b"ScatterRadial" in head,
+    sniff=lambda head: (
+        re.search(rb"^Source\s+Measured", head, re.MULTILINE) is not None
+        and b"ScatterRadial" in head
+        and re.search(rb"^\s*AOI\s", head, re.MULTILINE) is None  # of LightTools
+    ),
     read=read,
     write=write,
     carries=frozenset({"flag", "transmission"}),
