@@ -3,8 +3,9 @@
 `AngleBasis` lists rings of patches by polar angle; patch k of a ring of n is centred at azimuth 360 k / n. A block of
 `ScatteringData` is a matrix in row-major order; with `IncidentDataStructure` "Columns" a column is a direction of
 incidence. Directions are those of propagation along the window, so that regular transmission and mirror reflection
-both lie on the diagonal: light of incidence azimuth phi comes from phi + 180. Both sides share the window's x and y, so
-azimuths of the back, seen against its own normal, run the other way.
+both lie on the diagonal: light of incidence azimuth phi comes from phi + 180. Both sides share the window's x and y. As
+in Radiance, whose normal side is "Back" in these files, azimuths of the front, seen against its own normal, run the
+other way.
 
 Each side that light falls on, and each band, becomes a sample named "<product> front Visible", with its reflection and
 its transmission. The frame is that of the lit side: what is transmitted leaves at theta_r = 180 - Theta, with the
@@ -191,7 +192,7 @@ def _block(
     matrix = np.array([number(word, where, f"number {k + 1}") for k, word in enumerate(words)])
     matrix = matrix.reshape(rows.theta.size, columns.theta.size)
     incident, outgoing, values = (columns, rows, matrix.T) if structure == "Columns" else (rows, columns, matrix)
-    turn = 1.0 if side == "front" else -1.0
+    turn = 1.0 if side == "back" else -1.0
     i, r = (
         a.ravel() for a in np.meshgrid(np.arange(incident.theta.size), np.arange(outgoing.theta.size), indexing="ij")
     )
@@ -220,7 +221,7 @@ def write(frame: DataFrame, path: Path) -> None:
     """A table whose directions are the 145 x 145 pairs of the full Klems basis, for each sample once.
 
     The side and the band are read from the sample's name ("<product> front Visible"), as this reader makes them; a
-    table without a column `sample` is the front in the visible.
+    table without a column `sample` is the back in the visible, which is the normal side in Radiance.
     """
     basis = _full()
     if (frame["polarisation"] != "unpolarised").any() or (frame["flag"] != "").any():
@@ -233,8 +234,8 @@ def write(frame: DataFrame, path: Path) -> None:
         name, kind = told.get("sample", frame.attrs.get("sample") or ""), told.get("side", "reflection")
         require_held(str(name), path, "XML", NOT_XML)
         match = NAME.fullmatch(str(name))
-        product, side, band = match.groups() if match else (str(name), "front", "Visible")
-        turn = 1.0 if side == "front" else -1.0
+        product, side, band = match.groups() if match else (str(name), "back", "Visible")
+        turn = 1.0 if side == "back" else -1.0
         given = {tuple(row): k for k, row in enumerate(np.round(group[list(ANGLES)].to_numpy(np.float64), 6).tolist())}
         phi_i, phi_r = wrap_deg(turn * basis.phi + 180.0), wrap_deg(turn * basis.phi)
         theta_r = _theta_r(basis, str(kind))
@@ -277,7 +278,7 @@ def write_model(model: Model, name: str, path: Path) -> None:
 def averaged(
     brdf: Callable[[Floats, Floats, Floats, Floats], Floats], name: str, *, samples: int = _SAMPLES
 ) -> DataFrame:
-    """A BRDF of four angles [rad] averaged over pairs of patches of the full basis, as its front in the visible.
+    """A BRDF of four angles [rad] averaged over pairs of patches of the full basis, as its back in the visible.
 
     Averages are over `samples` by `samples` directions of equal projected solid angle in each patch.
     """

@@ -46,6 +46,19 @@ def test_columns_are_incidence_and_the_diagonal_is_the_mirror() -> None:
     assert frame["wavelength_nm"].isna().all()
 
 
+def test_azimuths_are_radiances_and_its_normal_side_is_the_back(tmp_path: Path) -> None:
+    """Radiance's rtrace (pyradiance 1.3.1) finds the value of this pair in these directions, of either side."""
+    four = b"<AngleBasisBlock><Theta>45</Theta><nPhis>4</nPhis></AngleBasisBlock></AngleBasis>"
+    for side, phi_i, phi_r in (("Back", 270.0, 0.0), ("Front", 90.0, 0.0)):
+        data = window(side, data=" ".join(map(str, range(1, 17))))
+        head, _, tail = data.partition(b"<AngleBasisBlock>")
+        frame = measurement.parse(head + four + tail.partition(b"</AngleBasis>")[2], Path("blind.xml"))
+        # the second column travels toward azimuth 90 on the back, and the first row leaves toward 0
+        assert value(frame, 45, phi_i, 45, phi_r) == 2
+    klems_xml.write(klems_xml.averaged(lambda ti, pi, tr, pr: 0.1 + 0 * (ti + pi + tr + pr), "a"), tmp_path / "a.xml")
+    assert "<WavelengthDataDirection>Reflection Back<" in (tmp_path / "a.xml").read_text(encoding="utf-8")
+
+
 def test_transmission_goes_on_behind_the_lit_side() -> None:
     frame = measurement.parse(window(kind="Transmission"), Path("blind.xml"))
     assert (set(frame["side"]), frame.attrs["quantity"]) == ({"transmission"}, "btdf")
