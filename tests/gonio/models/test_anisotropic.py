@@ -50,30 +50,6 @@ def test_the_kernel_in_50_digits(where: str, a1: float, a2: float, ior: complex)
     assert got == pytest.approx(wanted, rel=8.0 * EPS * (8.0 + moved))
 
 
-@given(widths, widths, azimuths, polar, azimuths, polar, azimuths)
-def test_reciprocity(a1: float, a2: float, turn: float, ti: float, pi_: float, tr: float, pr: float) -> None:
-    model = AnisotropicFacets(a1, a2, math.degrees(turn), METAL, 0.7, 0.4)
-    # the same sums in another order
-    assert model.brdf(ti, pi_, tr, pr) == pytest.approx(model.brdf(tr, pr, ti, pi_), rel=1e-13)
-
-
-@given(widths, widths, azimuths, polar, azimuths, polar, azimuths)
-def test_turning_the_sample_and_exchanging_the_widths(
-    a1: float, a2: float, turn: float, ti: float, pi_: float, tr: float, pr: float
-) -> None:
-    """Turned by the brushing's azimuth, by half a turn, and by a quarter with exchanged widths, it is the same."""
-    degrees = math.degrees(turn)
-    value = AnisotropicFacets(a1, a2, degrees, METAL).brdf(ti, pi_, tr, pr)
-    # azimuths are rounded to some 1e-15, which D sees over its width and grazing facets over their cosine
-    rel = 1e-13 * (1.0 + 1.0 / (min(a1, a2) * (math.cos(ti) + math.cos(tr))))
-    for model, back in (
-        (AnisotropicFacets(a1, a2, 0.0, METAL), turn),
-        (AnisotropicFacets(a1, a2, degrees + 180.0, METAL), 0.0),
-        (AnisotropicFacets(a2, a1, degrees + 90.0, METAL), 0.0),
-    ):
-        assert model.brdf(ti, pi_ - back, tr, pr - back) == pytest.approx(value, rel=rel)
-
-
 def test_equal_widths_are_walters_isotropic_facets() -> None:
     model = AnisotropicFacets(0.3, 0.3, 40.0, 1.5)
     assert not model.depends_on_azimuth

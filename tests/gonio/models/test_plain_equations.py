@@ -161,10 +161,6 @@ def test_he1991_eq_52_is_the_average_over_eq_47_whose_margin_is_eq_3() -> None:
     assert average == pytest.approx(appendix.characteristic(r, (v_z * sigma) ** 2, tau), abs=1e-12)
 
 
-def test_he1991_eq_76_has_no_singularity() -> None:
-    np.testing.assert_allclose(he_torrance.G(K_I, K_R), he_torrance.G_reduced(K_I, K_R), rtol=1e-9)  # 1/|k_r x k_i|^2
-
-
 def test_he1991_smooth_surface() -> None:
     nearly = he_torrance.rho_s(0.7, 1e-9, 1.0, 0.5, N_AL)
     assert he_torrance.rho_sp(nearly, 0.7, 1e-3) == pytest.approx(he_torrance.rho_sp_smooth(0.7, 1e-3, N_AL), rel=1e-14)

@@ -49,19 +49,10 @@ def test_the_kernel_in_50_digits(at: tuple[float, float, float, float], w: float
     assert got == pytest.approx(float(exact(at, w, tail, entrance)), rel=8.0 * EPS * (4.0 + moved))
 
 
-@given(lobes, polar, azimuths, polar, azimuths)
-def test_reciprocity_and_turning(lobe: Retroreflecting, ti: float, pi_: float, tr: float, pr: float) -> None:
-    value = lobe.brdf(ti, pi_, tr, pr)
-    assert value >= 0.0
-    assert lobe.brdf(tr, pr, ti, pi_) == pytest.approx(value, rel=1e-13)
-    # dphi is rounded to 1e-15, which D sees over its width
-    assert lobe.brdf(ti, 0.0, tr, pr - pi_) == pytest.approx(value, rel=1e-12 * (1 + lobe.tail / lobe.width_deg))
-    assert not lobe.depends_on_azimuth
-
-
 @given(lobes, st.floats(0.0, PI / 2))
 def test_no_more_is_returned_than_its_share(lobe: Retroreflecting, theta: float) -> None:
     assert lobe.directional_hemispherical(theta, tolerance=1e-4) <= lobe.returned * (1.0 + 1e-4)
+    assert not lobe.depends_on_azimuth
 
 
 @pytest.mark.parametrize("lobe", [Retroreflecting(1.0, 2.0, 1.0, 0.5), Retroreflecting(0.4, 30.0, 5.0, 0.3, 0.5)])

@@ -17,7 +17,7 @@ from gonio.geometry import ANGLES_DEG
 from gonio.lab.acquisition.run import Run
 from gonio.lab.rig.kinematics import view
 from gonio.measurement import read
-from tests.command_line import gonio, no_room_beyond, says
+from tests.command_line import gonio, says
 from tests.system.conftest import environment
 
 pytest.importorskip("h5netcdf")
@@ -158,23 +158,6 @@ def test_what_was_killed_goes_on_and_ends_the_same(folder: Path, monkeypatch: py
     assert len(made) == 4 - (len(done) - 5)  # of the four tiles those that were missing, and no picture
     assert (folder / "again.h5").read_bytes() == (folder / "map.h5").read_bytes()
     assert not (folder / "again.h5.parts").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="limits of a process are of POSIX")
-def test_a_full_disk_is_one_message_and_costs_nothing(folder: Path) -> None:
-    """In the middle of a picture (a pixel has nine bytes), and of the file."""
-    size = (folder / "map.h5").stat().st_size
-    for room in (50_000, 100_000, size // 2, size - 100):
-        with no_room_beyond(room):
-            said = gonio(folder, "reduce", "run", "--map", "full.h5", expect=2).stderr
-        says(said, "gonio: full.h5: cannot be written: File too large; the tiles that are done stay")
-        assert not (folder / "full.h5").exists()
-        left = {path.name.partition("-")[0] for path in (folder / "full.h5.parts").iterdir()}
-        assert left <= {"settings.json", "plane", "shifts.npz", "000000", "000064", "dark.raw", "darks.raw"}
-    gonio(folder, "reduce", "run", "--map", "full.h5", expect=0)
-    assert (folder / "full.h5").read_bytes() == (folder / "map.h5").read_bytes()
-    assert not (folder / "full.h5.parts").exists()
 
 
 def test_coarse_cells_are_means_of_many_pixels(folder: Path) -> None:
