@@ -39,8 +39,8 @@ import numpy as np
 
 from gonio import formats, polarisation
 from gonio.disk import is_stream, only_file
-from gonio.errors import ConfigError, DataError, os_error_as
-from gonio.formats import channels, native, own_columns, rt300s
+from gonio.errors import ConfigError, DataError, GonioError, os_error_as
+from gonio.formats import channels, native, own_columns, own_guess, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
 from gonio.formats.reader import (
     ANGLES,
@@ -61,9 +61,9 @@ if TYPE_CHECKING:
     from gonio.models import Model
 
 __all__ = [
-    "COLUMNS", "Reading", "every_state", "is_simulated", "meta_path", "of_reader", "parse", "read", "reflection",
-    "said_once", "samples", "split", "tables", "transmission", "turned_over", "uncertainty", "unpolarised", "write",
-    "write_model",
+    "COLUMNS", "Reading", "every_state", "is_simulated", "meta_path", "of_reader", "parse", "proposed", "read",
+    "reflection", "said_once", "samples", "split", "tables", "transmission", "turned_over", "uncertainty",
+    "unpolarised", "write", "write_model",
 ]  # fmt: skip
 
 
@@ -143,6 +143,51 @@ def _in_memory(path: Path, size: int) -> Iterator[None]:
 
 
 def _parsed(file: BinaryIO, path: Path, format: str | None, columns: Mapping[str, str] | None) -> DataFrame:
+    try:
+        return _table_in(file, path, format, columns)
+    except DataError as error:
+        remedy = _remedy(file, path, columns) if format in (None, "gonio", "xlsx") else ""
+        if not remedy:
+            raise
+        raise DataError(f"{error}; {remedy}") from error
+
+
+_MOST_GUESSED = 2**24
+"""Bytes of a table that is read a second time, to say how."""
+
+
+def _remedy(file: BinaryIO, path: Path, columns: Mapping[str, str] | None) -> str:
+    """The command that reads a table of one's own that was refused, or what of it is to be filled in; "" for others."""
+    if _size(file) > _MOST_GUESSED:
+        return ""
+    data = file.read()
+    given = columns if columns is not None else own_columns.beside(path)
+    of_others = [f for f in formats.all_formats().values() if f.name not in ("gonio", "xlsx")]
+    if given is None and any(f.sniff(data[: formats.SNIFFED_BYTES]) for f in of_others):
+        return ""
+    found, read_so = proposed(data, path, given)
+    if found is None or isinstance(read_so, GonioError):
+        return ""
+    names = ", ".join(repr(name[:40]) for name in found.header[:16])
+    unknown = "" if found.whole else f" ({own_guess.UNKNOWN}: one of the file's columns {names}, or a number)"
+    beside = f", or write {own_columns.beside_path(path).name} beside it" if own_columns.owns(path) else ""
+    return f"to read it as it is, without its other columns: {found.line(path)}{unknown}{beside}"
+
+
+def proposed(
+    data: bytes, path: Path, given: Mapping[str, str] | None = None
+) -> tuple[own_guess.Proposal | None, DataFrame | GonioError | None]:
+    """What the columns of a table of one's own may be, and the table as it reads so, or why it does not."""
+    found = own_guess.proposal(data, path, given)
+    if found is None or not found.whole:
+        return found, None
+    try:
+        return found, _table_in(io.BytesIO(data), path, None, own_columns.pairs(found.text))
+    except GonioError as error:
+        return found, error
+
+
+def _table_in(file: BinaryIO, path: Path, format: str | None, columns: Mapping[str, str] | None) -> DataFrame:
     where, stored = "columns", columns
     blank = own_columns.blank_beside(path)
     if columns is None and blank is None and (stored := own_columns.beside(path)) is not None:
@@ -493,18 +538,33 @@ def split(spec: str | Path) -> tuple[str, str | None]:
 
 
 def _choose(frame: DataFrame, sample: str, path: Path) -> DataFrame:
+    names = frame.attrs["samples"] if "sample" in frame.columns else [frame.attrs.get("sample") or path.stem]
+    listed = ", ".join(f'"{path}:{name}"' for name in names)
+    meant = _meant(sample, names)
+    if len(meant) != 1:
+        several = f'{len(meant)} samples whose names begin or end with "{sample}"' if meant else f'no sample "{sample}"'
+        raise DataError(f"{path}: holds {several}; name one of {listed}")
+    if meant[0] != sample:
+        note = f'the sample "{meant[0]}" is the one that "{sample}" names'
+        frame.attrs["notes"] = [*frame.attrs.get("notes", ()), note]
+    (sample,) = meant
     if "sample" not in frame.columns:
-        if sample == frame.attrs.get("sample"):
-            return frame
-        raise DataError(f'{path}: holds one sample, "{frame.attrs.get("sample") or path.stem}", and not "{sample}"')
-    if sample not in frame.attrs["samples"]:
-        raise DataError(f'{path}: holds no sample "{sample}"; it holds: {"; ".join(frame.attrs["samples"])}')
+        return frame
     chosen = frame[frame["sample"] == sample].drop(columns="sample").reset_index(drop=True)
     chosen.attrs.update({key: value for key, value in frame.attrs.items() if key != "samples"} | {"sample": sample})
     chosen.attrs.pop("samples", None)
     own = [band for band in chosen.attrs["bands"] if str(band.get("name")) == sample.rpartition(" ")[2]]
     chosen.attrs["bands"] = own or chosen.attrs["bands"]  # colours and broad bands end their samples' names
     return chosen
+
+
+def _meant(said: str, names: Sequence[str]) -> list[str]:
+    """The names that are this one; else those that begin or end so, in any case of letters."""
+    if said in names:
+        return [said]
+    low = " ".join(said.lower().split())
+    same = [name for name in names if " ".join(name.lower().split()) == low]
+    return same or [name for name in names if low and (name.lower().startswith(low) or name.lower().endswith(low))]
 
 
 def _table_of_run(folder: Path) -> Path:

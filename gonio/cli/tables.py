@@ -6,6 +6,7 @@ import contextlib
 import difflib
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,17 +16,18 @@ import typer
 from gonio.cli import console
 from gonio.cli.options import Columns, reading, remember
 from gonio.disk import STDOUT, check_writable, is_stream
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, GonioError
 
 if TYPE_CHECKING:
     import pandas as pd
+    from rich.table import Table
 
 
 def convert(
     source: Annotated[str, typer.Argument(
         metavar="IN", help="A measurement file, a run, FILE:SAMPLE, a model: sample.toml, or a map of fits.")],
-    target: Annotated[Path, typer.Argument(
-        metavar="OUT", help="The file to write; - for standard output; for textures a folder.")],
+    target: Annotated[Path | None, typer.Argument(
+        metavar="OUT", help="The file to write; - for standard output; for textures a folder.")] = None,
     source_format: Annotated[str | None, typer.Option(
         "--from", help="Format of IN, where neither content nor ending tell.")] = None,
     target_format: Annotated[str | None, typer.Option(
@@ -34,10 +36,18 @@ def convert(
     columns: Columns = None,
     wavelength_nm: Annotated[float | None, typer.Option(
         help="For a renderer: this wavelength of a table alone, in grey.")] = None,
+    ask: Annotated[bool, typer.Option(
+        "--ask", help="Propose --columns for a table of one's own, and show how it would be read."
+    )] = False,
 ) -> None:  # fmt: skip
     """Convert a measurement, or a model, to another file format. By file ending, or by a format's name."""
     from gonio import formats, measurement, plugins
 
+    if ask:
+        _ask(Path(measurement.split(source)[0]), columns)
+        return
+    if target is None:
+        raise ConfigError(f"{source}: name the file to write after it, as {Path(source).stem}-brdf.csv; or add --ask")
     if target_format == _TEXTURES:
         _textures(source, target, source_format or columns or wavelength_nm)
         return
@@ -83,6 +93,45 @@ def convert(
         console.note(remark)
     remember([source], how)
     _done(target, done)
+
+
+def _ask(path: Path, columns: str | None) -> None:
+    """Say what the columns of a table may be and why, and the first rows as they would be read."""
+    from gonio import measurement
+    from gonio.disk import read_file
+    from gonio.errors import DataError, os_error_as
+    from gonio.formats import own_columns
+
+    with os_error_as(ConfigError, f"{path}: cannot be read"):
+        data = read_file(path)
+    found, read_so = measurement.proposed(data, path, own_columns.pairs(columns) if columns else None)
+    if found is None:
+        raise DataError(f"{path}: no table is seen in it: no line of names or numbers, with rows as long as it")
+    for reason in found.reasons:
+        console.show(reason)
+    if isinstance(read_so, GonioError):
+        console.show(f"So it is not read: {read_so}")
+    elif read_so is not None:
+        console.show(f"{len(read_so)} rows; the first:", _first_rows(read_so))
+        for note in measurement.of_reader(read_so):
+            console.note(note)
+    unknown = "" if found.whole else " (in place of NAME a column, or a number for all rows)"
+    print(f"{found.line(path)}{unknown}", flush=True)  # on one line, to copy
+    beside = own_columns.beside_path(path)
+    if read_so is None or isinstance(read_so, GonioError) or not (sys.stdin.isatty() and sys.stdout.isatty()):
+        return
+    if typer.confirm(f"Write {beside}, so that every command reads it so?"):
+        console.note(own_columns.remember(path, own_columns.pairs(found.text)) or f"{beside} is there, and stays")
+
+
+def _first_rows(table: pd.DataFrame) -> Table:
+    from gonio.measurement import COLUMNS
+
+    shown = [name for name in (*COLUMNS, "sample", "side") if name in table.columns and name != "flag"]
+    out = console.table(*shown)
+    for row in table[shown].head(5).itertuples(index=False):
+        out.add_row(*(f"{value:.6g}" if isinstance(value, float) else str(value) for value in row))
+    return out
 
 
 def _require_place(target: Path, original: Path) -> None:

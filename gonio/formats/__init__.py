@@ -28,7 +28,6 @@ wavelengths take 2.0 GB in `compare --change`, 147 s of processor time (`/usr/bi
 pytest tests/gonio/formats -k damaged` reads ten thousand damaged copies of each format.
 """
 
-import re
 from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint
@@ -37,9 +36,7 @@ from typing import Any
 
 from gonio import plugins
 from gonio.errors import ConfigError, DataError, did_you_mean
-from gonio.formats.column_hints import columns_line
 from gonio.formats.reader import Format
-from gonio.formats.text import column_names
 
 _ALSO = {"bird-json": "bird"}
 """Other names of formats, for --from and --to."""
@@ -155,18 +152,11 @@ def of_content(data: bytes, path: Path) -> Format:
     if not choice:
         known = ", ".join(f.title for f in formats)
         lacking = "".join(f"; {said}" for said in left_out())
-        raise DataError(f"{path}: is in no format known here ({known}){_of_ones_own(head)}{lacking}")
+        raise DataError(f"{path}: is in no format known here ({known}){lacking}")
     if not found and len(choice) > 1 and "gonio" not in (f.name for f in choice):
         either = " or ".join(f"{f.title} (--from {f.name})" for f in choice)
         raise DataError(f"{path}: ends as {either} does, and begins as none of them")
     return choice[0]
-
-
-def _of_ones_own(head: bytes) -> str:
-    """How to read a text that may be a table of one's own; "" for other files."""
-    if re.search(rb"[\x00-\x08\x0e-\x1f]|^\s*[<{\[]", head):
-        return ""
-    return f"; a table with its columns' names in the first line: {columns_line(column_names(head))}"
 
 
 def of_name(path: Path) -> Format:

@@ -4,7 +4,7 @@ import difflib
 import itertools
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from gonio.formats.reader import ANGLES, COLUMNS
 
@@ -62,36 +62,15 @@ def column_hints(header: Sequence[str]) -> list[str]:
 
     There is none for a column that the table has already, nor where several columns could be the same one.
     """
-    return [_sentence(name, column, unit) for column, (name, unit) in _found(header).items()]
-
-
-def columns_line(header: Sequence[str], named: Mapping[str, str] | None = None) -> str:
-    """How to read a table under its own names, with the option `--columns` to copy.
-
-    `named` are names of the file's columns that are known already, by the table's. What is not known is NAME.
-    """
-    found = _found(header)
-    pairs = []
-    for column in (*COLUMNS, "sample"):
-        if column in header or (column not in NEEDED and column not in found):
-            continue
-        own, unit = found.get(column, ("NAME", ""))
-        own, unit = (named[column], "") if named and column in named else (own, unit)
-        pairs.append(f"{column.removesuffix('_deg').removesuffix('_nm')}={own.strip()}" + (f":{unit}" if unit else ""))
-    line = f'--columns "{",".join(pairs) or "brdf=brdf"}"'
-    names = ", ".join(repr(name.strip()[:40]) for name in header[:16])
-    unknown = f" (NAME: one of the file's columns {names})" if "=NAME" in line else ""
-    return (
-        f"to read it as it is, without its other columns, add {line}{unknown}, or write <name>.columns.toml beside it"
-    )
+    return [_sentence(name, column, unit) for column, (name, unit) in found_in(header).items()]
 
 
 def unit_in(name: str) -> str:
     """The unit that a column's name says, as "deg", "rad", "nm", "um", "1/sr" or "%"; "" where it says none."""
-    return _word_and_unit(name)[1]
+    return word_and_unit(name)[1]
 
 
-def _found(header: Sequence[str]) -> dict[str, tuple[str, str]]:
+def found_in(header: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Columns of the table that the header lacks: the one of its names that nearly is it, and the unit to name."""
     found = defaultdict(list)
     for name in itertools.islice((name for name in header if name not in COLUMNS and len(name) <= 40), _LOOKED_AT):
@@ -118,7 +97,7 @@ def _sentence(name: str, column: str, unit: str) -> str:
 
 def _nearly(name: str) -> tuple[str, str] | None:
     """The column that this name is nearly that of, if any, and the unit that `--columns` needs for it, if any."""
-    word, unit = _word_and_unit(name)
+    word, unit = word_and_unit(name)
     if unit == "%" and (word in _FACTOR or _BY_NAME.get(word) == "brdf"):
         return "brdf", "percent"
     if word in _FACTOR and not unit:
@@ -143,7 +122,7 @@ _SPELT = {"wavelength": "wavelength_nm", "polarisation": "polarisation", "sample
 """Words long enough to be known by a slip of the pen; one letter makes an angle another angle."""
 
 
-def _word_and_unit(name: str) -> tuple[str, str]:
+def word_and_unit(name: str) -> tuple[str, str]:
     """A column's name without case, blanks and unit; and its unit, as this module writes it."""
     plain = re.sub(r"[\s\-.]+", "_", re.sub(r"(?<![a-z])sr-1", "1/sr", name.strip().lower()))
     bracketed = re.fullmatch(r"(.*?)_*[\[(]\s*(.*?)\s*[\])]", plain)

@@ -22,7 +22,7 @@ import numpy as np
 from gonio import polarisation
 from gonio.disk import is_stream, read_file, require_name
 from gonio.errors import ConfigError, DataError
-from gonio.formats.column_hints import NEEDED, column_hints, columns_line
+from gonio.formats.column_hints import NEEDED, column_hints
 from gonio.formats.reader import (
     COLUMNS,
     EXTRA,
@@ -233,7 +233,7 @@ def _read_line_by_line(text: str, path: Path) -> DataFrame:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
     try:
         header = next(reader, [])
-        check_columns(header, f"{path}, line 1", needed=NEEDED, by_hand=True)
+        check_columns(header, f"{path}, line 1", needed=NEEDED)
         parts: list[list[Any]] = [[] for _ in header]
         line = 2
         while chunk := list(itertools.islice(reader, 20_000)):
@@ -298,11 +298,8 @@ def _require_own_attributes(meta: Path) -> None:
         raise ConfigError(f"{meta}: is not the attributes of a table, and is not replaced; give the table another name")
 
 
-def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = COLUMNS, by_hand: bool = False) -> None:
-    """`DataError` unless these are the columns of a measurement table, each once, and the `needed` ones are there.
-
-    Of a table that may be made `by_hand` it says how to name its columns.
-    """
+def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = COLUMNS) -> None:
+    """`DataError` unless these are the columns of a measurement table, each once, and the `needed` ones are there."""
     missing = [name for name in needed if name not in header]
     extra = [n for n in header if n not in COLUMNS and n not in EXTRA and not (n.startswith("s_") and len(n) > 2)]
     twice = sorted(name for name, count in Counter(header).items() if count > 1)
@@ -312,8 +309,6 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
             known = f"a measurement table has {', '.join(NEEDED)}, and may have {', '.join(_DEFAULTS)}, side, "
             known += "s_<cause> and m01 to m33"
             hints = "".join(f"; {hint}" for hint in column_hints(header))
-            if by_hand and header and not twice:
-                known += f"; {columns_line(header)}"
             raise DataError(f"{where}: columns {what}: {shown}{hints}; {known}")
 
 

@@ -20,7 +20,7 @@ from gonio import polarisation
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError, DataError
 from gonio.formats import workbook
-from gonio.formats.column_hints import NEEDED, columns_line, unit_in
+from gonio.formats.column_hints import NEEDED, unit_in
 from gonio.formats.reader import (
     ANGLES,
     COLUMNS,
@@ -60,9 +60,9 @@ _UNITS: dict[str, dict[str, Callable[[Floats], Floats]]] = {
 factor is pi BRDF, "percent" a hundredth of one, and "cos" BRDF times cos(theta_r)."""
 _SIGNS = ("signed", "signed-retro")
 """Of `theta_r`: on which side it is positive, the mirror side or that of the retro-reflection."""
-_WIDE = {"*nm": "nm", "*um": "um", "*": ""}
+WIDE = {"*nm": "nm", "*um": "um", "*": ""}
 """Names for the columns of `brdf` that are one a wavelength, and the unit in their own names."""
-_MATRIX = "matrix"
+MATRIX = "matrix"
 _ROWS, _HEADER = "#1", "header"
 """Where a matrix has theta_r and theta_i."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -141,7 +141,7 @@ def beside(path: Path) -> dict[str, str] | None:
         The file cannot be read, or holds something else.
     """
     file = beside_path(path)
-    if not os.path.lexists(file) or not _owns(path):
+    if not os.path.lexists(file) or not owns(path):
         return None
     try:
         stored = tomllib.loads(read_file(file).decode())
@@ -161,7 +161,7 @@ def blank_beside(path: Path) -> Path | None:
     return path.parent / stored["blank"] if stored is not None and set(stored) == {"blank"} else None
 
 
-def _owns(path: Path) -> bool:
+def owns(path: Path) -> bool:
     """Whether `<name>.columns.toml` is about the table at `path`, and not about another of the same name."""
     ending = path.suffix.lower()
     texts = any(path.with_suffix(other).exists() for other in _TEXTS)
@@ -174,7 +174,7 @@ def remember(path: Path, columns: Mapping[str, str]) -> str | None:
     A file that is there stays as it is. None: it says the same already.
     """
     file, named = beside_path(path), wanted(columns, "--columns")
-    if not _owns(path):
+    if not owns(path):
         return None
     if os.path.lexists(file):
         try:
@@ -263,7 +263,7 @@ def _require_as_named(name: str, column: Column, where: str) -> None:
     said = unit_in(column.own)
     fitting = [unit for unit in _units(name) if unit in _SAID.get(said, ())]
     if fitting and column.unit not in fitting:
-        key = next((key for key, full in _KEYS.items() if full == name), name)
+        key = pair_key(name)
         shown = ", or ".join(f"{key}={column.own}:{unit}" for unit in (*fitting, column.unit))
         raise ConfigError(
             f"{where}: the name {column.own[:40]!r} says {said}, and {column.unit} is what is taken where no unit is "
@@ -295,12 +295,12 @@ def read(data: bytes, path: Path, columns: Mapping[str, str], where: str) -> Own
             missing.remove("phi_i_deg")
             every["phi_i_deg"] = Column("0", "deg", follows=False)
     if missing:
-        raise DataError(_no_column(missing, table, found, where))
+        raise DataError(_no_column(missing, table, where))
     count = len(table.rows)
     for name, column in every.items():
         if column.own not in table.header and column.own not in given:
             given[column.own] = _constant(name, column, count, table, where)
-            notes.append(f"{_key(name)} is {column.own} in all rows, in place of a column of that name")
+            notes.append(f"{pair_key(name)} is {column.own} in all rows, in place of a column of that name")
     values = {name: _in_units(table, given, name, column) for name, column in every.items() if name not in WORDS}
     last = values.get("phi_r_deg", values.get(_DPHI, np.zeros(count)))
     stated = np.column_stack([*(values[name] for name in ANGLES[:3]), last])
@@ -329,17 +329,19 @@ def _taken(found: Mapping[str, Column], header: Iterable[str]) -> dict[str, Colu
     return {**found, **{name: _with_unit(name, name, found) for name in plain}}
 
 
-def _key(name: str) -> str:
+def pair_key(name: str) -> str:
     """A column's name as it stands in pairs."""
     return next((key for key, full in _KEYS.items() if full == name), name)
 
 
-def _no_column(missing: Sequence[str], table: CsvTable, found: Mapping[str, Column], where: str) -> str:
+def table_name(key: str) -> str:
+    """The measurement table's name for a key of the pairs."""
+    return _KEYS.get(key, key)
+
+
+def _no_column(missing: Sequence[str], table: CsvTable, where: str) -> str:
     listed = ", ".join(repr(name[:40]) for name in table.header[:16])
-    line = columns_line(table.header, {name: column.spec for name, column in found.items()})
-    return (
-        f"{table.path}, line 1: no column is named for {', '.join(missing)} in {where}; the file has {listed}; {line}"
-    )
+    return f"{table.path}, line 1: no column is named for {', '.join(missing)} in {where}; the file has {listed}"
 
 
 def _table(data: bytes, path: Path, found: Mapping[str, Column]) -> tuple[CsvTable, list[str]]:
@@ -356,7 +358,7 @@ def _table(data: bytes, path: Path, found: Mapping[str, Column]) -> tuple[CsvTab
         data, notes = workbook.as_csv(data, path, named, takes)
     text = decode(data, path)
     lines = lines_of(text)
-    matrix = "brdf" in found and found["brdf"].own == _MATRIX
+    matrix = "brdf" in found and found["brdf"].own == MATRIX
     if not matrix and any(name.startswith("#") and name[1:].isdigit() for name in named):
         return _by_position(lines, path, found, notes)
     place = header_in(lines, lambda cells: _is_header(cells, found))
@@ -365,8 +367,7 @@ def _table(data: bytes, path: Path, found: Mapping[str, Column]) -> tuple[CsvTab
     if missing := [name for name in named if name not in (_ROWS, _HEADER) and table.header.count(name) != 1]:
         there = ", ".join(repr(name[:40]) for name in table.header[:16])
         raise DataError(
-            f"{path}, line {first + 1}: columns missing, or there twice: {', '.join(missing)}; the file has {there}; "
-            f"{columns_line(table.header)}"
+            f"{path}, line {first + 1}: columns missing, or there twice: {', '.join(missing)}; the file has {there}"
         )
     if not table.rows:
         raise DataError(f"{path}: has a header and no rows")
@@ -380,7 +381,7 @@ def _skipped(first: int) -> list[str]:
 def _is_given(name: str, column: Column) -> bool:
     """Whether this may be no name of one column: a value for all rows, or a name for several columns."""
     if name == "brdf":
-        return column.own in (*_WIDE, _MATRIX)
+        return column.own in (*WIDE, MATRIX)
     return bool(_NUMBER.fullmatch(column.own)) or column.own in _GIVEN_WORDS.get(name, ())
 
 
@@ -389,11 +390,11 @@ _GIVEN_WORDS = {"polarisation": polarisation.WORDS, "side": SIDES}
 
 def _is_header(cells: list[str], found: Mapping[str, Column]) -> bool:
     """Whether these cells name every column that is needed."""
-    if "brdf" in found and found["brdf"].own == _MATRIX:
+    if "brdf" in found and found["brdf"].own == MATRIX:
         return len(cells) > 1 and all(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in cells[1:])
     if any(cells.count(one.own) != 1 for name, one in found.items() if not _is_given(name, one)):
         return False
-    if "brdf" in found and found["brdf"].own in _WIDE:
+    if "brdf" in found and found["brdf"].own in WIDE:
         return bool(_wide(found, cells))
     return "brdf" in _taken(found, cells)
 
@@ -423,7 +424,7 @@ def _by_position(
 
 def _wide(found: Mapping[str, Column], header: Iterable[str]) -> list[tuple[str, float]]:
     """The columns of a file that have one wavelength each, and which [in the unit of their names]."""
-    unit = _WIDE.get(found["brdf"].own) if "brdf" in found else None
+    unit = WIDE.get(found["brdf"].own) if "brdf" in found else None
     if unit is None:
         return []
     pattern = re.compile(rf"\s*({_NUMBER.pattern})\s*{unit}\s*", re.IGNORECASE)
@@ -436,19 +437,21 @@ def _unrolled(
 ) -> tuple[dict[str, Column], CsvTable, dict[str, Array]]:
     """A table with a row a value, of one with several values a row; and what its header gives for each row."""
     own = found["brdf"].own if "brdf" in found else ""
-    if own not in (*_WIDE, _MATRIX) or own in table.header:
+    if own not in (*WIDE, MATRIX) or own in table.header:
         return found, table, {}
-    if own == _MATRIX:
+    if own == MATRIX:
         key, unit = "theta_i_deg", found.get("theta_i_deg", Column("", "deg", follows=False)).unit
         wide = [(name, float(name.replace(",", "."))) for name in table.header[1:]]
         found.setdefault("theta_r_deg", Column(_ROWS, "deg", follows=False))
         for name, place in (("theta_r_deg", _ROWS), (key, _HEADER)):
             if found.get(name, Column(place, "", follows=False)).own != place:
-                raise ConfigError(f"{where}: of a matrix {_key(name)} is in its {place}; write {_key(name)}={place}")
+                raise ConfigError(
+                    f"{where}: of a matrix {pair_key(name)} is in its {place}; write {pair_key(name)}={place}"
+                )
         header = [_ROWS]
         notes.append(f"a matrix: theta_r in its rows, theta_i in its header ({_range(wide)})")
     else:
-        key, unit = "wavelength_nm", _WIDE[own] or "nm"
+        key, unit = "wavelength_nm", WIDE[own] or "nm"
         wide = _wide(found, table.header)
         if key in found:
             raise ConfigError(f"{where}: wavelength is named, and brdf={own} takes it from the header; leave it out")
@@ -457,7 +460,7 @@ def _unrolled(
     if len({value for _, value in wide}) < len(wide):
         raise DataError(f"{table.path}: two columns of {own!r} are of one value; leave one out")
     at = {name: k for k, name in enumerate(table.header)}
-    kept = [0] if own == _MATRIX else [at[name] for name in header]
+    kept = [0] if own == MATRIX else [at[name] for name in header]
     columns = [at[name] for name, _ in wide]
     rows = [[*(row[k] for k in kept), row[column]] for row in table.rows for column in columns]
     lines = [line for line in table.line_numbers for _ in columns]
@@ -476,7 +479,7 @@ def _constant(name: str, column: Column, count: int, table: CsvTable, where: str
     if name in _GIVEN_WORDS and column.own in _GIVEN_WORDS[name]:
         return np.full(count, column.own, dtype=object)
     if name in (*WORDS, "brdf") or not _NUMBER.fullmatch(column.own):
-        raise DataError(_no_column([name], table, {}, where))
+        raise DataError(_no_column([name], table, where))
     return np.full(count, float(column.own))
 
 

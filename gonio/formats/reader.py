@@ -371,7 +371,8 @@ def single(frame: DataFrame, path: Path, format_name: str) -> None:
         raise DataError(f"{path}: {format_name} holds unpolarised values only; this table has polarised rows")
     if "sample" in frame.columns:
         raise DataError(
-            f"{path}: {format_name} holds one sample; name one as FILE:SAMPLE: {', '.join(frame.attrs['samples'])}"
+            f'{path}: {format_name} holds one sample; name one as "FILE:SAMPLE": '
+            + ", ".join(f'"{name}"' for name in frame.attrs["samples"])
         )
 
 

@@ -232,7 +232,7 @@ def csv_table(data: bytes, path: Path, needed: Sequence[str]) -> CsvTable:
 
 BLANKS = " "
 """As a separator: any run of blanks."""
-_COMMENT = re.compile(r"\s*(?:#|%|//|!)+")
+_COMMENT = re.compile(r"\A\s*(?:#|%|//|!)+")
 _HEADER_WITHIN = 200
 """Lines in which a header is looked for."""
 
@@ -250,9 +250,11 @@ def cells_of(line: str, mark: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([bare], delimiter=mark), [])]
 
 
-def header_in(lines: Sequence[str], holds: Callable[[list[str]], bool]) -> tuple[int, str] | None:
+def header_in(
+    lines: Sequence[str], holds: Callable[[list[str]], bool], within: int = _HEADER_WITHIN
+) -> tuple[int, str] | None:
     """The first line whose cells are a header by `holds`, with rows as long as it; and what separates them."""
-    for first, line in enumerate(lines[:_HEADER_WITHIN]):
+    for first, line in enumerate(lines[:within]):
         for mark in ("\t", ";", ",", BLANKS):
             for cells in (cells_of(line, mark), line.split()) if mark == BLANKS else (cells_of(line, mark),):
                 if holds(cells) and _followed(lines[first + 1 :], len(cells), mark):

@@ -1,5 +1,7 @@
 """Tables of one's own in many layouts: read as `--columns` says, and as what made them knows."""
 
+import re
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +14,7 @@ from gonio.errors import DataError
 from gonio.formats import own_columns
 from gonio.formats.reader import ANGLES
 from gonio.typing import Floats
-from tests.command_line import says
+from tests.command_line import gonio, says
 
 PREAMBLE = ["BRF Values", "Measured on Jan 01 2020, by nobody; in a cellar", "", "# lamp: 3 V"]
 
@@ -30,8 +32,16 @@ def written(value: float, comma: bool) -> str:
     return f"{value:.9g}".replace(".", ",") if comma else f"{value:.9g}"
 
 
-def layout(seed: int) -> Layout:
-    """One layout of those that people write, chosen by a seed."""
+def telling(name: str, angle: str, unit: str) -> str:
+    """A name that says what the column is, and in what unit."""
+    values = {"1/sr": "BRDF [1/sr]", "factor": "Panel BRF", "percent": "BRDF [%]", "cos": "BRDF_cos"}
+    known = {"inc": "Incident Zenith", "det": "Viewing Zenith", "az_i": "Incident Azimuth", "az_r": "Viewing Azimuth"}
+    known |= {"rel": "Relative Azimuth"}
+    return values[unit] if name == "R" else f"{known[name]} [{angle}]" if name in known else name
+
+
+def layout(seed: int, *, tells: bool = False) -> Layout:
+    """One layout of those that people write, chosen by a seed; one that `tells` has names that say what is what."""
     rng = np.random.default_rng(seed)
     shape = ("long", "wide", "matrix")[seed % 3]
     mark = (";", "\t", ",", " ")[seed // 3 % 4]
@@ -39,6 +49,11 @@ def layout(seed: int) -> Layout:
     how = ("phi_r", "dphi", "signed", "signed-retro")[rng.integers(1 if shape == "matrix" else 0, 4)]
     angle = "rad" if rng.integers(3) == 0 else "deg"
     unit = ("1/sr", "factor", "percent", "cos")[rng.integers(4)]
+    if tells:  # no file tells the side of a sign or, in names of wavelengths alone, a unit
+        how = "signed" if how == "signed-retro" else how
+        unit = "1/sr" if shape != "long" else unit
+        angle = "deg" if shape == "matrix" else angle
+        mark = ";" if mark == " " else mark
     waves = [450.0, 550.5, 1050.0] if shape == "wide" else [550.0]
     wave_unit = "um" if rng.integers(2) else "nm"
     theta_i = [10.0, 30.5, 60.0]
@@ -98,10 +113,13 @@ def layout(seed: int) -> Layout:
                 "run": ["7"] * len(places),
             }
             pairs += f",brdf=R:{unit},wavelength=" + ("0.55:um" if wave_unit == "um" else "550")
+        if tells and shape == "long":
+            table["wavelength_nm"] = [written(550.0, comma)] * len(places)
         head = [str(name) for name in rng.permutation(list(table))]
         rows = [list(row) for row in zip(*(table[name] for name in head), strict=True)]
+        head = [telling(name, angle, unit) for name in head] if tells else head
     join = "   " if mark == " " else mark
-    top = (PREAMBLE if rng.integers(2) else []) + [("# " if rng.integers(3) == 0 else "") + join.join(head)]
+    top = (PREAMBLE[1:] if rng.integers(2) else []) + [("# " if rng.integers(3) == 0 else "") + join.join(head)]
     return Layout("\n".join([*top, *(join.join(row) for row in rows), ""]), pairs, np.array(truth))
 
 
@@ -117,6 +135,61 @@ def test_a_layout_is_read_as_what_made_it_knows(seed: int) -> None:
     expected = made.truth[np.lexsort(made.truth[:, :5].T[::-1])]
     # nine digits are written: of an angle in radians 3e-8 degrees, of values 5e-9 of them, with cos(theta_r) 7e-9
     np.testing.assert_allclose(taken(frame), expected, rtol=2e-8, atol=1e-7)
+
+
+def line_of(refusal: str) -> str:
+    """The pairs in the line to try that a refusal ends with."""
+    found = re.search(r'gonio convert \S+ \S+ --columns "(.*?)"', refusal)
+    assert found is not None, refusal
+    return found[1]
+
+
+@pytest.mark.parametrize("seed", range(36))
+def test_a_refusal_ends_with_the_line_that_reads_the_table(seed: int) -> None:
+    made = layout(seed, tells=True)
+    with pytest.raises(DataError) as caught:
+        measurement.parse(made.text.encode(), Path("a.csv"))
+    pairs = line_of(str(caught.value))
+    if "dphi=NAME" in pairs:  # a matrix of one side tells not which
+        assert "dphi=180" in made.pairs
+        pairs = pairs.replace("NAME", "180")
+    assert "NAME" not in pairs
+    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_columns.pairs(pairs))
+    expected = made.truth[np.lexsort(made.truth[:, :5].T[::-1])]
+    np.testing.assert_allclose(taken(frame), expected, rtol=2e-8, atol=1e-7)  # as above
+
+
+def test_a_misspelt_name_is_put_right_in_the_line_to_try() -> None:
+    made = layout(0)
+    with pytest.raises(DataError) as caught:
+        measurement.parse(
+            made.text.encode(), Path("a.csv"), columns=own_columns.pairs(made.pairs.replace("inc", "inv"))
+        )
+    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_columns.pairs(line_of(str(caught.value))))
+    assert len(frame) == len(made.truth)
+
+
+def test_convert_asks_and_writes_nothing_without_a_terminal(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(STUDENT.format(0, 0))
+    done = gonio(tmp_path, "convert", "a.csv", "--ask", expect=0)
+    says(done.stdout, "theta_r: 'theta_r_deg', by its name; it is negative", "2 rows; the first:")
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("gonio convert"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+    gonio(tmp_path, *shlex.split(line)[1:], expect=0)
+    assert measurement.read(tmp_path / "a-brdf.csv")["phi_r_deg"].tolist() == [0.0, 180.0]
+    (tmp_path / "b.txt").write_text("30 0 20 180 0.5\n30 0 40 180 0.6\n")
+    says(gonio(tmp_path, "convert", "b.txt", "--ask", expect=0).stdout, "they are #1 to #5", "theta_i=NAME")
+    gonio(tmp_path, "convert", "b.txt", expect=2)
+
+
+@pytest.mark.parametrize("said", ["full red", "red", "RED", "full  Red"])
+def test_a_sample_s_name_may_be_short_where_one_fits(tmp_path: Path, said: str) -> None:
+    rows = "".join(f"30,0,20,180,{value},{name}\n" for value, name in ((0.1, "full red"), (0.2, "full green")))
+    (tmp_path / "a.csv").write_text(f"theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf,sample\n{rows}")
+    assert measurement.read(tmp_path / "a.csv", sample=said)["brdf"].tolist() == [0.1]
+    for wrong, why in (("full", "2 samples whose names begin or end with"), ("blue", "no sample")):
+        with pytest.raises(DataError, match=f'{why} "{wrong}"; name one of ".*a.csv:full red", ".*a.csv:full green"'):
+            measurement.read(tmp_path / "a.csv", sample=wrong)
 
 
 STUDENT = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n30,0,-20,{0},0.1\n30,0,20,{1},0.2\n"
