@@ -245,7 +245,7 @@ def test_samples_of_a_file_by_name(tmp_path: Path) -> None:
     ((name, brass),) = measurement.tables(f"{path}:brass").items()
     assert name == "brass"
     assert (list(brass.columns), brass.attrs["sample"]) == (list(COLUMNS), "brass")
-    with pytest.raises(DataError, match='metals.csv:zinc", ".*metals.csv:brass"'):
+    with pytest.raises(DataError, match=r'metals.csv:zinc", ".*metals.csv:brass"'):
         measurement.tables(f"{path}:tin")
     with pytest.raises(ConfigError, match="no such file"):
         measurement.tables(tmp_path / "none.csv:tin")
