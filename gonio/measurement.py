@@ -424,7 +424,15 @@ def tables(spec: str | Path, how: Reading | None = None, *, apart: bool = False)
     """
     path, sample = split(spec)
     how = Reading() if how is None or Path(path).is_dir() else how
-    frame = read(path, sample=sample, columns=how.columns)
+    try:
+        frame = read(path, sample=sample, columns=how.columns)
+    except DataError:
+        if sample is None or apart:
+            raise
+        whole = channels.joined(samples(read(path, columns=how.columns)))  # the name of three channels, perhaps
+        if sample not in whole:
+            raise
+        return {sample: whole[sample]}
     found = samples(frame) if sample is None else {sample: frame}
     return found if apart else channels.joined(found)
 

@@ -11,11 +11,6 @@ _NOTE = (
 )
 
 
-def name_of(wavelength_nm: float, table: DataFrame) -> str:
-    """The name of the channel at one of the wavelengths of a joined table; "" of any other."""
-    return next((c for c, nm in RGB_NM.items() if nm == wavelength_nm), "") if is_joined(table) else ""
-
-
 def is_joined(table: DataFrame) -> bool:
     """Whether a table was made of three channels by `joined`."""
     return bool(table.attrs.get("channels"))
@@ -28,7 +23,7 @@ def joined(samples: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
     ----------
     samples
         Tables by the names of their samples. Channels are broad bands without a wavelength; other tables stay as they
-        are.
+        are, and so do channels beside a sample of the name that they would have.
 
     Returns
     -------
@@ -42,10 +37,9 @@ def joined(samples: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
         """The names of the three channels that a sample belongs with, by colour; none where one of them is missing."""
         stem, _, colour = name.rpartition(" ")
         names = {c: f"{stem} {c}".strip() for c in RGB_NM}
-        broad = colour in RGB_NM and all(
-            n in samples and samples[n]["wavelength_nm"].isna().all() for n in names.values()
-        )
-        return names if broad else {}
+        if colour not in RGB_NM or stem in samples or any(n not in samples for n in names.values()):
+            return {}
+        return names if all(samples[n]["wavelength_nm"].isna().all() for n in names.values()) else {}
 
     out = dict[str, DataFrame]()
     for name, table in samples.items():

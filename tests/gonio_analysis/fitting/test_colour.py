@@ -20,6 +20,7 @@ from gonio_analysis.fitting.spectrum import MOST_VALUES, fit_every
 from gonio import measurement
 from gonio.colour import SRGB
 from gonio.config import numbers_in
+from gonio.errors import DataError
 from gonio.formats import channels
 from gonio.models import SpectralModel, build
 from gonio.samples.files import load_model
@@ -61,7 +62,18 @@ def test_three_channels_become_one_table_and_other_samples_stay() -> None:
     for colour, nm in RGB_NM.items():
         here = found["paint"][found["paint"]["wavelength_nm"] == nm]
         assert np.array_equal(here["brdf"], parts[f"paint {colour}"]["brdf"])
-        assert channels.name_of(nm, found["paint"]) == colour
+
+
+def test_a_name_takes_its_channels_from_a_file_of_several_samples(tmp_path: Path) -> None:
+    whole = joined(colour_table(SHARED), measure(build("lambert", {"albedo": 0.5})).assign(sample="grey"))
+    whole.attrs = {**whole.attrs, "samples": [*whole.attrs["samples"], "grey"]}
+    measurement.write(whole, tmp_path / "two.csv")
+    assert list(measurement.tables(tmp_path / "two.csv")) == ["paint", "grey"]
+    (name, table), *none = measurement.tables(f"{tmp_path / 'two.csv'}:paint").items()
+    assert (name, none) == ("paint", [])
+    assert channels.is_joined(table)
+    with pytest.raises(DataError, match='holds no sample "pain"'):
+        measurement.tables(f"{tmp_path / 'two.csv'}:pain")
 
 
 @pytest.mark.parametrize(("truth", "same"), [(SHARED, True), (APART, False)])
