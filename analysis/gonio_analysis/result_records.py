@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gonio import shown
 from gonio.checks.verdicts import Check
-
-if TYPE_CHECKING:
-    pass
-
 
 WHERE_KNOWN = {"where_known": True}
 """Metadata of a field that JSON has only where it is not None."""
@@ -238,16 +234,3 @@ class CauseSummary:
     cause: str
     median: float
     p95: float
-
-
-@dataclass(frozen=True)
-class MeasuredValue:
-    """A row of the measurement table."""
-
-    wavelength_nm: float | None
-    theta_i_deg: float
-    phi_i_deg: float
-    theta_r_deg: float
-    phi_r_deg: float
-    brdf: float
-    u_brdf: float | None

@@ -31,7 +31,7 @@ from gonio_analysis.report.blocks import Page, titled
 from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import Drawing, Figure, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary, Summary
-from gonio_analysis.report.section import drawings_of, facts_of
+from gonio_analysis.report.section import drawings_of
 from gonio_analysis.report.sections import SECTIONS
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.beyond_reflection import Transmitted, transmitted
@@ -238,12 +238,12 @@ def write(
     Summary
         What `summary.json` holds: every number of the page.
     """
-    summary = summarise(datasets, title=title, normalise=normalise, command=command)
-    own = [facts_of(sections.every(SECTIONS), d) for d in datasets]
-    known = [replace(facts, sections=more or None) for facts, more in zip(summary.datasets, own, strict=True)]
-    summary = replace(summary, datasets=known, transmission_only=transmission_only)
+    summary = summarise(
+        datasets, title=title, normalise=normalise, command=command, sections=sections.every(SECTIONS),
+        transmission_only=transmission_only,
+    )  # fmt: skip
     progress("drawing")
-    groups = _drawings(list(zip(datasets, known, strict=True)), radius)
+    groups = _drawings(summary.datasets, radius)
     for t, slug in zip(transmission_only, page.slugs_of_transmission(summary), strict=True):
         groups.append(_kept("figures", t.name, partial(beyond_reflection.draw, t, (), slug)))
     if len(datasets) > 1:
@@ -251,8 +251,8 @@ def write(
     views, listed = list[viewer.ViewerData | None](), list[str]()
 
     def views_and_tables() -> None:
-        views.extend(_views(datasets, summary))
-        listed.extend(files.write_tables(datasets, summary, views, folder / "tables"))
+        views.extend(_views(summary))
+        listed.extend(files.write_tables(summary, views, folder / "tables"))
 
     wanted = [drawing for group in groups for drawing in group]
     every = (workers or FigureWorkers()).draw(wanted, progress, views_and_tables)
@@ -260,27 +260,25 @@ def write(
     rest = iter(every)
     drawn = [[next(rest) for _ in group] for group in groups]
     bare = {"index.html": titled(summary.title)}
-    pages = lost.kept("the page", lambda: _pages(datasets, summary, drawn, views), lambda loss: bare)
+    pages = lost.kept("the page", lambda: _pages(summary, drawn, views), lambda loss: bare)
     files.write_pages(folder, pages, summary, every)
     return summary
 
 
-def _views(datasets: Sequence[Dataset], summary: Summary) -> list[viewer.ViewerData | None]:
+def _views(summary: Summary) -> list[viewer.ViewerData | None]:
     """What the interactive plot of each sample shows; None where it has no curves."""
-    room, views = viewer.BYTES // max(len(datasets), 1), list[viewer.ViewerData | None]()
-    for d, facts in zip(datasets, summary.datasets, strict=True):
-        view = partial(viewer.viewer, d, facts, summary.normalise, room)
+    room, views = viewer.BYTES // max(len(summary.datasets), 1), list[viewer.ViewerData | None]()
+    for d in summary.datasets:
+        view = partial(viewer.viewer, d, summary.normalise, room)
         views.append(lost.kept(f"the interactive plot of {d.name}", view, lambda loss: None) if d.curves else None)
     return views
 
 
 def _pages(
-    datasets: Sequence[Dataset],
-    summary: Summary,
-    drawn: Sequence[Sequence[Figure]],
-    views: Sequence[viewer.ViewerData | None],
+    summary: Summary, drawn: Sequence[Sequence[Figure]], views: Sequence[viewer.ViewerData | None]
 ) -> dict[str, Page]:
     """The pages by the name of their file: of several samples with a plot of all of them."""
+    datasets = summary.datasets
     alone = len(datasets) + len(summary.transmission_only)
     beside: page.Beside = (None, ())
     if len(datasets) > 1:
@@ -289,20 +287,20 @@ def _pages(
     return page.render(summary, drawn[:alone], views, beside)
 
 
-def _drawings(both: Sequence[tuple[Dataset, DatasetSummary]], radius: float | None) -> list[list[Drawing]]:
+def _drawings(datasets: Sequence[DatasetSummary], radius: float | None) -> list[list[Drawing]]:
     """What is to be drawn of each sample, in the order of the page."""
     # measured values in one panel, so that those of all panels take about half of the room of a page
-    most = min(max(MARKERS // max(sum(3 * len(d.fitted) + 6 for d, _ in both), 1), 300), 2400)
+    most = min(max(MARKERS // max(sum(3 * len(d.models) + 6 for d in datasets), 1), 300), 2400)
     taken: dict[str, Drawing] = {}
     groups = []
-    for d, f in both:
+    for d in datasets:
         group = [
-            *_kept("figures", d.name, partial(figures.draw, d, f, most, radius)),
-            *_kept("figures out of plane", d.name, partial(detail_figures.draw, d, f, most)),
+            *_kept("figures", d.name, partial(figures.draw, d, most, radius)),
+            *_kept("figures out of plane", d.name, partial(detail_figures.draw, d, most)),
         ]
         taken |= {one.name: one for one in group}
         for one in sections.every(SECTIONS):
-            more = drawings_of(one, d, f, taken)
+            more = drawings_of(one, d, taken)
             taken |= {one.name: one for one in more}
             group += more
         groups.append(group)

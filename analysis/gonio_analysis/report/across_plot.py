@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from gonio.shown import finite
 from gonio.typing import Floats
 from gonio_analysis.changes.point_by_point import laid_on
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, Line, curves, evenly, labels
@@ -50,7 +49,7 @@ def view(datasets: Sequence[Dataset], room: int = viewer.BYTES) -> viewer.Viewer
     shown = datasets[:MOST_SAMPLES]
     data = _laid([side.measured for side in sides_of(shown)])
     names = [d.title for d in shown]
-    waves = _waves(data, finite(shown[0].wavelength_nm))
+    waves = _waves(data, shown[0].wavelength_nm)
     every = {nm: _together(names, [x if nm is None else x.nearest(nm)[0] for x in data]) for nm in waves}
     every = {nm: groups for nm, groups in every.items() if groups}
     if not every:
@@ -68,7 +67,7 @@ def view(datasets: Sequence[Dataset], room: int = viewer.BYTES) -> viewer.Viewer
             entries.append(viewer.entry(group[0][1], label, series))
             listed.append(label)
         out.append({"nm": nm, "curves": entries})
-    first = finite(shown[0].wavelength_nm)
+    first = shown[0].wavelength_nm
     at = next((k for k, wave in enumerate(out) if wave["nm"] == first), 0)
     here = list(every.values())[at]
     none = [np.empty(0)]
@@ -144,7 +143,7 @@ def draw(datasets: Sequence[Dataset]) -> list[Drawing]:
         ]  # fmt: skip
         panels.append((label, lines))
     logarithmic = any(_logarithmic([line.theory for line in lines]) for _, lines in panels)
-    at = "" if math.isnan(shown[0].wavelength_nm) else f" at {shown[0].wavelength_nm:g} nm"
+    at = "" if shown[0].wavelength_nm is None else f" at {shown[0].wavelength_nm:g} nm"
     caption = f"All samples in the plane of incidence{at}: {', '.join(names)}; a panel for each angle of incidence."
     rows = -(-len(panels) // 2)
     on = partial(_on_panels, panels=panels, logarithmic=logarithmic)

@@ -306,12 +306,12 @@ SECTIONS = (
             else section(d.transmission, (*figures.get("both-sides", ()), *figures.get("transmission", ())), d.rho_dh)
         ),
         lambda d, facts: (
-            [] if d.transmitted is None else draw(d.transmitted, d.curves, facts.slug, simulated=d.simulated)
+            [] if d.transmission is None else draw(d.transmission, d.curves, facts.slug, simulated=d.simulated)
         ),
     ),
     Section(
         "polarisation",
         lambda d, figures: [] if d.mueller is None else mueller_section(d.mueller, figures.get("mueller", ())),
-        lambda d, facts: [] if d.polarisation is None else draw_mueller(d.polarisation, d.name, facts.slug),
+        lambda d, facts: [] if d.mueller is None else draw_mueller(d.mueller, d.name, facts.slug),
     ),
 )

@@ -100,7 +100,8 @@ def section(found: BudgetFacts, figures: Sequence[Figure]) -> list[Block]:
 def _in_short(d: DatasetSummary) -> str:
     """The typical uncertainty of a value, and the cause that makes most of it."""
     if not d.uncertainty_stated:
-        return "none is stated" if d.u_rel_assumed is None else f"{percent(d.u_rel_assumed)} of each value is assumed"
+        assumed = d.data.u_rel_assumed
+        return "none is stated" if assumed is None else f"{percent(assumed)} of each value is assumed"
     parts = of(d.run, d.wavelength_nm)
     if parts is not None and parts.parts:
         most = max(parts.parts, key=lambda p: p.share)
@@ -111,10 +112,10 @@ def _in_short(d: DatasetSummary) -> str:
 
 def _words(d: DatasetSummary, by: ByKind) -> list[Block]:
     """What is known of the values' uncertainties."""
-    if d.u_rel_assumed is not None:
+    if d.data.u_rel_assumed is not None:
         return [
             Paragraph(
-                f"The table states no uncertainties. A standard uncertainty of {percent(d.u_rel_assumed)} of each"
+                f"The table states no uncertainties. A standard uncertainty of {percent(d.data.u_rel_assumed)} of each"
                 " value, independent from value to value, is assumed: error bars, standard errors and χ² rest on it."
             )
         ]

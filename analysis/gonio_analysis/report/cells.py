@@ -23,9 +23,9 @@ from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.plots import in_plane
 from gonio_analysis.report import html, model_tables
 from gonio_analysis.report.blocks import Block, lead
-from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.drawing import as_svg
-from gonio_analysis.selection.compare import Dataset, DrawnCurve, theory_angles
+from gonio_analysis.report.facts import DatasetSummary
+from gonio_analysis.selection.compare import DrawnCurve, theory_angles
 
 INCHES = (9.4, 3.5)
 RADIUS = {"mirror": "BRDF / BRDF in the mirror direction", "max": "BRDF / its maximum", "model": "BRDF / model's"}
@@ -66,7 +66,7 @@ class ShownFit(FitResult):
         return _picture(drawn, self.name) + super()._repr_html_()
 
 
-class ShownComparison(Dataset):
+class ShownComparison(DatasetSummary):
     """A comparison of models that a notebook shows as a report does: verdict, plot, models, parameters."""
 
     def plot(self, ax: Any = None, *, model: str = "", semilog: bool = False) -> Any:
@@ -75,25 +75,18 @@ class ShownComparison(Dataset):
         return plotted(ax, drawn, semilog=semilog, normalise=drawn[0].norm.kind if drawn else "mirror")
 
     def _drawn(self, model: str = "") -> list[DrawnCurve]:
-        best = self.choice.best
-        name = model or (best.candidate.label if best is not None else "")
-        return self.fitted[name].drawn if name in self.fitted else []
+        name = model or self.best or ""
+        return self.models[name].drawn if name in self.models else []
 
     def _repr_html_(self) -> str:
-        facts = summarise([self], title=self.name, normalise="mirror", command="").datasets[0]
-        above: list[Block] = [lead(facts.verdict)]
-        below: list[Block] = [model_tables.compared(facts), *model_tables.chosen(facts)] if facts.models else []
+        above: list[Block] = [lead(self.verdict)]
+        below: list[Block] = [model_tables.compared(self), *model_tables.chosen(self)] if self.models else []
         return html.fragment(above) + _picture(self._drawn(), self.title) + html.fragment(below)
 
 
 def shown_fit(result: FitResult) -> ShownFit:
     """The same fit, as a cell shows it."""
     return ShownFit(**{f.name: getattr(result, f.name) for f in fields(result)})
-
-
-def shown_comparison(found: Dataset) -> ShownComparison:
-    """The same comparison, as a cell shows it."""
-    return ShownComparison(**{f.name: getattr(found, f.name) for f in fields(found)})
 
 
 def of_data(data: Observations, model: Any, wavelength_nm: float, normalise: Normalise) -> list[DrawnCurve]:

@@ -29,27 +29,25 @@ FEWEST = 8
 """Values out of the plane that a map needs."""
 
 
-def draw(d: Dataset, facts: DatasetSummary, most: int) -> list[Drawing]:
+def draw(d: DatasetSummary, most: int) -> list[Drawing]:
     """What the data allow: maps, slices and a lobe where there are values out of plane, profiles, the budget.
 
     Parameters
     ----------
     d
         The measurement with its fitted models.
-    facts
-        Its part of the summary.
     most
         Measured values that one panel shows, at most.
     """
     chosen = _incidences(d)
-    out = [_heat(d, facts, rows, k, most) for k, rows in enumerate(chosen) if np.any(d.data.brdf[rows] > 0)]
+    out = [_heat(d, rows, k, most) for k, rows in enumerate(chosen) if np.any(d.data.brdf[rows] > 0)]
     cuts = [maps.slices(d.data, rows) for rows in chosen]
-    out += [_slices(d, facts, chosen[k], lines, k, most) for k, lines in enumerate(cuts) if lines]
-    if chosen and facts.best:
-        out.append(_lobe(d, facts, chosen[len(chosen) // 2], most))
+    out += [_slices(d, chosen[k], lines, k, most) for k, lines in enumerate(cuts) if lines]
+    if chosen and d.best:
+        out.append(_lobe(d, chosen[len(chosen) // 2], most))
     if d.choice.intervals and d.choice.named is not None and d.choice.named.fit.misfit is None:
-        out.append(_profiles(d, facts))
-    return [*out, _budget(d, facts, most)] if facts.budget and d.curves else out
+        out.append(_profiles(d))
+    return [*out, _budget(d, most)] if d.budget and d.curves else out
 
 
 def _incidences(d: Dataset) -> list[Ints]:
@@ -67,7 +65,7 @@ def _theta(d: Dataset, rows: Ints) -> float:
     return float(d.data.directions.theta_i[rows].mean())
 
 
-def _heat(d: Dataset, facts: DatasetSummary, rows: Ints, k: int, most: int) -> Drawing:
+def _heat(d: DatasetSummary, rows: Ints, k: int, most: int) -> Drawing:
     data, theta = d.data, _theta(d, rows)
     rows = rows[data.brdf[rows] > 0]
     at = data.directions[rows]
@@ -78,14 +76,14 @@ def _heat(d: Dataset, facts: DatasetSummary, rows: Ints, k: int, most: int) -> D
         " are a guide." + thinning.words(some.size, rows.size)
     )
     on = partial(_on_disc, theta_r=at[some].theta_r, dphi=at[some].dphi, value=data.brdf[rows[some]], theta_i=theta)
-    return Drawing(f"{facts.slug}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
+    return Drawing(f"{d.slug}-heat-{k + 1}", "heat", "", caption, caption, (4.6, 4.0), on)
 
 
 def _on_disc(figure: Any, *, theta_r: Floats, dphi: Floats, value: Floats, theta_i: float) -> None:
     maps.heat_map(figure.add_axes((0.02, 0.04, 0.84, 0.94)), theta_r, dphi, value, label="BRDF [1/sr]", theta_i=theta_i)
 
 
-def _slices(d: Dataset, facts: DatasetSummary, rows: Ints, lines: list[Line], k: int, most: int) -> Drawing:
+def _slices(d: DatasetSummary, rows: Ints, lines: list[Line], k: int, most: int) -> Drawing:
     every = [lines[k] for k in evenly(len(lines), 6)]
     shown = thinning.on_logarithm(every, PANEL_PT, 0.5 * PANEL_PT, most)
     caption = (
@@ -94,7 +92,7 @@ def _slices(d: Dataset, facts: DatasetSummary, rows: Ints, lines: list[Line], k:
         + thinning.words(thinning.measured(shown), thinning.measured(every))
     )
     on = partial(_on_slices, lines=shown)
-    return Drawing(f"{facts.slug}-slices-{k + 1}", "slices", "", caption, caption, (5.6, 3.72), on)
+    return Drawing(f"{d.slug}-slices-{k + 1}", "slices", "", caption, caption, (5.6, 3.72), on)
 
 
 def _on_slices(figure: Any, *, lines: list[Line]) -> None:
@@ -104,9 +102,9 @@ def _on_slices(figure: Any, *, lines: list[Line]) -> None:
     _legend(figure, [(line.label, in_plane.style(i)) for i, line in enumerate(lines)])
 
 
-def _lobe(d: Dataset, facts: DatasetSummary, rows: Ints, most: int) -> Drawing:
-    assert facts.best is not None
-    best, data, theta = d.fitted[facts.best].fit, d.data, _theta(d, rows)
+def _lobe(d: DatasetSummary, rows: Ints, most: int) -> Drawing:
+    assert d.best is not None
+    best, data, theta = d.models[d.best].fit, d.data, _theta(d, rows)
     nm = NO_WAVELENGTH_NM if np.isnan(data.wavelengths[0]) else data.wavelengths[0]
 
     def brdf(theta_r: Any, dphi: Any) -> Any:
@@ -130,7 +128,7 @@ def _lobe(d: Dataset, facts: DatasetSummary, rows: Ints, most: int) -> Drawing:
             f" largest, up to {times} times."
         )
     on = partial(_on_space, mesh=mesh, measured=(at[some].theta_r, at[some].dphi, values[some]))
-    return Drawing(f"{facts.slug}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
+    return Drawing(f"{d.slug}-lobe", "lobe", "", caption, caption, (4.6, 4.0), on)
 
 
 def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, Floats]) -> None:
@@ -138,7 +136,7 @@ def _on_space(figure: Any, *, mesh: maps.Mesh, measured: tuple[Floats, Floats, F
     maps.lobe(ax, mesh, measured=measured, label="BRDF / largest value of the model's lobe")
 
 
-def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
+def _profiles(d: DatasetSummary) -> Drawing:
     named = d.choice.named
     assert named is not None
     result = named.fit
@@ -151,7 +149,7 @@ def _profiles(d: Dataset, facts: DatasetSummary) -> Drawing:
     )
     panels = [(i, result.parameters[i.name].value, unit(result.parameters[i.name].unit)) for i in intervals]
     on = partial(_on_profiles, panels=panels, threshold=rise(result, level))
-    return Drawing(f"{facts.slug}-profiles", "profile", "", caption, caption, (5.6, 1.9 * _rows_of(len(panels))), on)
+    return Drawing(f"{d.slug}-profiles", "profile", "", caption, caption, (5.6, 1.9 * _rows_of(len(panels))), on)
 
 
 def _rows_of(panels: int) -> int:
@@ -168,11 +166,11 @@ def _on_profiles(figure: Any, *, panels: list[tuple[Interval, float, str]], thre
         ax.set_axis_off()
 
 
-def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
+def _budget(d: DatasetSummary, most: int) -> Drawing:
     assert d.data.covariance is not None
     names = labels(d.curves)
     shown = [(d.curves[k], names[k]) for k in evenly(len(d.curves), MOST)]
-    common = [k for k in largest([p.median for p in facts.budget[2:]]) if facts.budget[2 + k].p95 >= SEEN]
+    common = [k for k in largest([p.median for p in d.budget[2:]]) if d.budget[2 + k].p95 >= SEEN]
     parts = ["combined", "random", *(cause(d.data.covariance.causes[k]) for k in common)]
     entries = [(part, diagnostics.look(k)) for k, part in enumerate(parts)]
     # every cause is a line over the same angles
@@ -184,7 +182,7 @@ def _budget(d: Dataset, facts: DatasetSummary, most: int) -> Drawing:
         + thinning.words(sum(angle.size for *_, angle, _ in panels), sum(curve.angle.size for curve, _ in shown))
     )
     size, on = (5.6, budget_height(len(entries))), partial(_on_budget, panels=panels, entries=entries)
-    return Drawing(f"{facts.slug}-budget-angle", "budget-angle", "", caption, caption, size, on)
+    return Drawing(f"{d.slug}-budget-angle", "budget-angle", "", caption, caption, size, on)
 
 
 def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, diagnostics.Look]]) -> None:

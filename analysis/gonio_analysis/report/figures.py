@@ -44,37 +44,35 @@ MOST_CAUSES = 20
 """Most causes of uncertainty, common to all values, in one figure."""
 
 
-def draw(d: Dataset, facts: DatasetSummary, most: int, radius: float | None = None) -> list[Drawing]:
+def draw(d: DatasetSummary, most: int, radius: float | None = None) -> list[Drawing]:
     """Every figure of one measured sample.
 
     Parameters
     ----------
     d
         The measurement with its fitted models.
-    facts
-        Its part of the summary.
     most
         Measured values that one panel shows, at most.
     radius
         Of the rim of polar plots; each by what it shows if none is given.
     """
     groups = coinciding(d)
-    out = [_polar(d, facts, names, most, radius) for names in groups if d.fitted[names[0]].drawn]
-    out += [_absolute(d, facts, names, most) for names in groups]
+    out = [_polar(d, names, most, radius) for names in groups if d.models[names[0]].drawn]
+    out += [_absolute(d, names, most) for names in groups]
     if len(groups) > 1 and d.curves:
-        out.append(_overlay(d, groups, facts, most))
-    if facts.budget:
-        out.append(_budget(facts))
-    files = model_slugs(d.fitted)
-    out += [_series(facts, model, f, files[model]) for model, f in d.fitted.items() if len(f.series) > 1]
+        out.append(_overlay(d, groups, most))
+    if d.budget:
+        out.append(_budget(d))
+    files = model_slugs(d.models)
+    out += [_series(d, model, f, files[model]) for model, f in d.models.items() if len(f.series) > 1]
     return out
 
 
 def coinciding(d: Dataset) -> list[list[str]]:
     """Names of the fitted models; those whose curves and values cannot be told apart on paper stand together."""
     groups: list[list[str]] = []
-    for model, f in d.fitted.items():
-        same = next((g for g in groups if _coincide(d.fitted[g[0]], f)), None)
+    for model, f in d.models.items():
+        same = next((g for g in groups if _coincide(d.models[g[0]], f)), None)
         if same is None:
             groups.append([model])
         else:
@@ -96,8 +94,8 @@ def _named(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}, which coincide"
 
 
-def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int, radius: float | None) -> Drawing:
-    model, f = names[0], d.fitted[names[0]]
+def _polar(d: DatasetSummary, names: Sequence[str], most: int, radius: float | None) -> Drawing:
+    model, f = names[0], d.models[names[0]]
     every = [c.normalised() for c in f.drawn]
     rim = in_plane.radius_of(every) if radius is None else radius
     lines = thinning.on_half_disc(every, rim, 0.42 * 5.6 * thinning.POINTS_AN_INCH, most)
@@ -119,7 +117,7 @@ def _polar(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int, r
     )
     on = partial(_on_half_disc, lines=lines, rim=rim, label=label, legend=legend, called=_called(d))
     high = 3.22 + LEGEND_ROW_IN * legend.rows
-    return Drawing(f"{facts.slug}-polar-{model_slugs(d.fitted)[model]}", "polar", model, caption, alt, (5.6, high), on)
+    return Drawing(f"{d.slug}-polar-{model_slugs(d.models)[model]}", "polar", model, caption, alt, (5.6, high), on)
 
 
 def measurement(d: Dataset) -> str:
@@ -172,8 +170,8 @@ def _spikes(f: FittedModel) -> str:
     return f" The spike at {where} is {times} times the largest value beside it: see the semilog curves."
 
 
-def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
-    model, f, data = names[0], d.fitted[names[0]], d.fitted[names[0]].fit.data
+def _absolute(d: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
+    model, f, data = names[0], d.models[names[0]], d.models[names[0]].fit.data
     lines, stated = [c.absolute() for c in f.drawn], f.fit.goal.whitened
     rest = np.setdiff1d(np.arange(len(data)), [row for c in f.drawn for row in c.curve.rows])
     at = data.directions[rest]
@@ -198,7 +196,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     else:
         caption = f"{_named(names)}: {measurement(d)} without an in-plane curve, so residuals alone: {kind}."
     caption += thinning.words(thinning.measured(low) + some.size, thinning.measured(lines) + rest.size)
-    chi = facts.models[model].fit.reduced_chi_square
+    chi = d.models[model].fit.reduced_chi_square
     alt = f"{'Semilog curves and residuals' if lines else 'Residuals'} for {d.name} and {model}"
     alt += f"; reduced chi-square {number(chi)}." if chi is not None else "."
     legend = _Legend.of(d, f, star=False)
@@ -209,7 +207,7 @@ def _absolute(d: Dataset, facts: DatasetSummary, names: Sequence[str], most: int
     )  # fmt: skip
     high = (3.57 if lines else 1.6) + 0.46 + LEGEND_ROW_IN * legend.rows
     return Drawing(
-        f"{facts.slug}-absolute-{model_slugs(d.fitted)[model]}", "absolute", model, caption, alt, (5.6, high), on
+        f"{d.slug}-absolute-{model_slugs(d.models)[model]}", "absolute", model, caption, alt, (5.6, high), on
     )
 
 
@@ -247,15 +245,15 @@ def _on_two_panels(
     legend.draw(figure)
 
 
-def _overlay(d: Dataset, groups: Sequence[Sequence[str]], facts: DatasetSummary, most: int) -> Drawing:
+def _overlay(d: DatasetSummary, groups: Sequence[Sequence[str]], most: int) -> Drawing:
     names = [" = ".join(group) for group in groups]
-    first = d.fitted[groups[0][0]].drawn
+    first = d.models[groups[0][0]].drawn
     share = max(most // len(first), 24)
     panels = []
     for k, c in enumerate(first):
         measured = Line(c.label, np.empty(0), np.empty(0), c.curve.angle, c.curve.brdf, c.curve.u)
         (shown,) = thinning.on_logarithm([measured], 0.45 * PANEL_PT, OVERLAY_IN * thinning.POINTS_AN_INCH, share)
-        theory = [(d.fitted[g[0]].drawn[k].theory_angle, d.fitted[g[0]].drawn[k].theory) for g in groups]
+        theory = [(d.models[g[0]].drawn[k].theory_angle, d.models[g[0]].drawn[k].theory) for g in groups]
         panels.append((shown, theory))
     caption = (
         f"All models: absolute in-plane BRDF, a panel for each curve. Points{bars(d)}: {measurement(d)}; lines: theory."
@@ -265,7 +263,7 @@ def _overlay(d: Dataset, groups: Sequence[Sequence[str]], facts: DatasetSummary,
     columns = style.columns(names, 5.6)
     on = partial(_on_overlay, panels=panels, names=names, columns=columns, called=measurement(d))
     high = OVERLAY_IN * (-(-len(panels) // 2)) + 0.42 + LEGEND_ROW_IN * (-(-len(names) // columns) + 1)
-    return Drawing(f"{facts.slug}-overlay", "overlay", "", caption, caption, (5.6, high), on)
+    return Drawing(f"{d.slug}-overlay", "overlay", "", caption, caption, (5.6, high), on)
 
 
 def _on_overlay(
@@ -306,8 +304,8 @@ def largest(medians: list[float]) -> list[int]:
     return sorted(sorted(range(len(medians)), key=lambda k: -medians[k])[:MOST_CAUSES])
 
 
-def _budget(facts: DatasetSummary) -> Drawing:
-    named = [(cause(p.cause), p.median, p.p95) for p in facts.budget]
+def _budget(d: DatasetSummary) -> Drawing:
+    named = [(cause(p.cause), p.median, p.p95) for p in d.budget]
     every = named[:2] + [part for part in named[2:] if part[2] >= SEEN]
     parts = every[:2] + [every[2:][k] for k in largest([p[1] for p in every[2:]])]
     caption = (
@@ -322,7 +320,7 @@ def _budget(facts: DatasetSummary) -> Drawing:
         f"{c}: median {100 * m:.2g} %, 95th percentile {100 * p:.2g} %." for c, m, p in parts
     )
     on = partial(_on_bars, parts=parts)
-    return Drawing(f"{facts.slug}-budget", "budget", "", caption, alt, (5.6, budget_height(len(parts))), on)
+    return Drawing(f"{d.slug}-budget", "budget", "", caption, alt, (5.6, budget_height(len(parts))), on)
 
 
 def _on_bars(figure: Any, *, parts: list[tuple[str, float, float]]) -> None:
@@ -336,7 +334,7 @@ def budget_height(parts: int) -> float:
     return 0.7 + 0.3 * parts
 
 
-def _series(facts: DatasetSummary, model: str, f: FittedModel, file: str) -> Drawing:
+def _series(d: DatasetSummary, model: str, f: FittedModel, file: str) -> Drawing:
     x = np.array([r.wavelength_nm for r in f.series])
     values = {
         name: np.array([(r.parameters[name].value, r.parameters[name].u) for r in f.series], dtype=float)
@@ -350,7 +348,7 @@ def _series(facts: DatasetSummary, model: str, f: FittedModel, file: str) -> Dra
     )
     high = 0.35 + 1.55 * -(-len(values) // SERIES_COLUMNS)
     on = partial(_on_series, x=x, values=values)
-    return Drawing(f"{facts.slug}-series-{file}", "series", model, caption, caption, (5.6, high), on)
+    return Drawing(f"{d.slug}-series-{file}", "series", model, caption, caption, (5.6, high), on)
 
 
 def _on_series(figure: Any, *, x: Any, values: dict[str, Floats]) -> None:

@@ -38,10 +38,9 @@ from gonio.shown import visible
 from gonio.typing import Floats, JsonObject
 from gonio_analysis.report import html, viewer
 from gonio_analysis.report.blocks import Page, titled, with_notice
-from gonio_analysis.report.comparison import VALUES, usable
-from gonio_analysis.report.facts import DatasetSummary, Summary
+from gonio_analysis.report.facts import VALUES, DatasetSummary, Summary
 from gonio_analysis.result_records import as_json
-from gonio_analysis.selection.compare import Dataset, DrawnCurve
+from gonio_analysis.selection.compare import DrawnCurve
 
 if TYPE_CHECKING:
     from gonio_analysis.report.drawing import Figure
@@ -49,17 +48,15 @@ if TYPE_CHECKING:
 ROWS_AT_ONCE = 10_000
 
 
-def write_tables(
-    datasets: Sequence[Dataset], summary: Summary, views: Sequence[viewer.ViewerData | None], folder: Path
-) -> list[str]:
+def write_tables(summary: Summary, views: Sequence[viewer.ViewerData | None], folder: Path) -> list[str]:
     """Write parameters, metrics, curves, theory, profiles, and parameters over wavelength; the names of the files."""
     files = [*written(folder / "parameters.csv", partial(_parameters, summary))]
     files += written(folder / "metrics.csv", partial(_metrics, summary))
-    for d, s, view in zip(datasets, summary.datasets, views, strict=True):
-        files += written(folder / f"{s.slug}-values.csv", partial(_values, d))
-        files += written(folder / f"{s.slug}-curves.csv", partial(_curves, d))
-        if s.values and s.usable_everywhere > len(s.values):
-            files += written(folder / f"{s.slug}-all-values.csv", partial(_all_values, d))
+    for s, view in zip(summary.datasets, views, strict=True):
+        files += written(folder / f"{s.slug}-values.csv", partial(_values, s))
+        files += written(folder / f"{s.slug}-curves.csv", partial(_curves, s))
+        if s.values and len(s.usable) > len(s.values):
+            files += written(folder / f"{s.slug}-all-values.csv", partial(_all_values, s))
         if s.budget:
             files += written(folder / f"{s.slug}-budget.csv", partial(_budget, s))
         if view is not None:
@@ -121,9 +118,8 @@ def _metrics(summary: Summary, path: Path) -> None:
     )
 
 
-def _all_values(d: Dataset, path: Path) -> None:
-    rows = usable(d)
-    write_columns(path, VALUES, [[rows[name].to_numpy() for name in VALUES]])
+def _all_values(d: DatasetSummary, path: Path) -> None:
+    write_columns(path, VALUES, [[d.usable[name].to_numpy() for name in VALUES]])
 
 
 def _budget(s: DatasetSummary, path: Path) -> None:
@@ -163,13 +159,13 @@ def _profiles(s: DatasetSummary, path: Path) -> None:
     )
 
 
-def _values(d: Dataset, path: Path) -> None:
+def _values(d: DatasetSummary, path: Path) -> None:
     """Fitted values with every model's prediction."""
-    data = next((f.fit.data for f in d.fitted.values()), d.data)
+    data = next((f.fit.data for f in d.models.values()), d.data)
     angles = [_degrees(x) for x in data.directions.angles]
     states = {"polarisation": data.states} if data.states.size else {}
-    models, c = list(d.fitted), data.covariance
-    values = [v for f in d.fitted.values() for v in (f.fit.predicted, f.fit.whitened)]
+    models, c = list(d.models), data.covariance
+    values = [v for f in d.models.values() for v in (f.fit.predicted, f.fit.whitened)]
     write_columns(
         path,
         (
@@ -181,10 +177,10 @@ def _values(d: Dataset, path: Path) -> None:
     )
 
 
-def _curves(d: Dataset, path: Path) -> None:
+def _curves(d: DatasetSummary, path: Path) -> None:
     """The plotted curves."""
     header = ("model", "curve", "kind", "signed_angle_deg", "brdf", "u_brdf", "normalised", "u_normalised")
-    parts = [part for m, f in d.fitted.items() for c in f.drawn for part in _of_drawn(m, c)]
+    parts = [part for m, f in d.models.items() for c in f.drawn for part in _of_drawn(m, c)]
     columns = [list(column) for column in zip(*parts, strict=True)] or [[] for _ in range(9)]
     write_columns(
         path,

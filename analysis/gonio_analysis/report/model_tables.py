@@ -168,8 +168,8 @@ def _of_errors(fits: Sequence[FittedModel], d: DatasetSummary) -> list[str]:
         said.append(
             "Standard uncertainties come from the scatter of the residuals, by the metric of the fit."
             if all(f.fit.chi_square is None for f in fits)
-            else f"Standard uncertainties rest on the assumed {percent(d.u_rel_assumed)} of each value."
-            if d.u_rel_assumed is not None
+            else f"Standard uncertainties rest on the assumed {percent(d.data.u_rel_assumed)} of each value."
+            if d.data.u_rel_assumed is not None
             else "Standard uncertainties follow from those of the values, by least squares with their covariance."
         )
     if any(off):

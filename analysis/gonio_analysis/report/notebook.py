@@ -29,7 +29,6 @@ from gonio_analysis.report.cells import (
     of_data,
     on_half_disc,
     on_logarithm,
-    shown_comparison,
     shown_fit,
 )
 from gonio_analysis.selection.compare import DrawnCurve, check_models, examine
@@ -122,7 +121,7 @@ def compare(
         frame, names, name=called, ior=ior, wavelength_nm=wavelength_nm, normalise=normalise, metric=metric,
         u_rel=u_rel,
     )  # fmt: skip
-    return shown_comparison(found)
+    return ShownComparison.of(found, "sample")
 
 
 def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = None) -> Change:

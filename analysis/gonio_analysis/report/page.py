@@ -49,7 +49,7 @@ def _provenance(s: Summary) -> list[Block]:
     if len(s.datasets) > MOST_SOURCES:
         out.append(Paragraph(f"The first {MOST_SOURCES} of {len(s.datasets)} samples; summary.json has all."))
     for d in s.datasets[:MOST_SOURCES]:
-        rows = [("file", d.source or "–"), ("format", str(d.format or "–"))]
+        rows = [("file", d.source or "–"), ("format", str(d.table.attrs.get("format") or "–"))]
         if d.run:
             r = d.run
             rows += [("simulated" if d.simulated else "measured", r.created), ("command", r.command)]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from gonio import geometry
 from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
+from gonio.shown import finite
 from gonio_analysis.fitting.objective import meaning as meaning_of_metric
 from gonio_analysis.report import blocks, frame, sections, verdict
 from gonio_analysis.report import model_tables as models
@@ -33,7 +34,7 @@ from gonio_analysis.report.facts import DatasetSummary, Summary
 from gonio_analysis.report.section import Figures as ByKind
 from gonio_analysis.report.section import blocks_of, part
 from gonio_analysis.report.sections import SECTIONS
-from gonio_analysis.report.text import angle, cut, difference, glued, number, percent, reasons, with_u
+from gonio_analysis.report.text import angle, counted, cut, difference, glued, number, percent, reasons, with_u
 from gonio_analysis.report.viewer import ViewerData
 
 FAR = 0.1
@@ -118,14 +119,14 @@ def _remarks(d: DatasetSummary, of: Sequence[str]) -> list[Block]:
     said: dict[str, list[str]] = {}
     for m in of:
         for n in d.models[m].notes:
-            if n not in d.notes + d.data_notes:
+            if n not in d.notes + list(d.data.notes):
                 said.setdefault(n, []).append(m)
     return [Notes(tuple((strong(", ".join(names)), f": {n}") for n, names in said.items()))]
 
 
 def _choice(s: Summary, d: DatasetSummary) -> list[Block]:
     """The verdict in full, and the statistics behind it."""
-    rest = d.conclusion.removeprefix(d.verdict).strip()
+    rest = " ".join(d.headline[1:])
     skipped = {m: why for m, why in d.skipped.items() if len(d.choice.judged) < 2 or m not in d.choice.left_out}
     out: list[Block] = [Paragraph(glued(rest))] if rest else []
     out += verdict.which_model(d)
@@ -160,26 +161,25 @@ def _measured(d: DatasetSummary) -> list[Block]:
     what = "What was simulated, and how" if d.simulated else "What was measured, and how"
     rig = d.run.rig if d.run else d.source or "a table"
     at = "" if d.wavelength_nm is None else f", {d.wavelength_nm:g} nm"
-    many = "value" if d.used == 1 else "values"
-    return [Heading(3, what, f"{d.used} {many}{at}, {rig}"), _facts(d), notes(d.notes)]
+    return [Heading(3, what, f"{counted(len(d.data), 'value')}{at}, {rig}"), _facts(d), notes(d.notes)]
 
 
 def _values(d: DatasetSummary) -> Table:
     rows = [
         [
-            number(v.wavelength_nm, 6),
-            *(number(angle, 4) for angle in (v.theta_i_deg, v.phi_i_deg, v.theta_r_deg, v.phi_r_deg)),
-            number(v.brdf, 4) if v.u_brdf is None else with_u(v.brdf, v.u_brdf),
-            number(math.pi * v.brdf, 4),
+            number(finite(wavelength_nm), 6),
+            *(number(angle, 4) for angle in angles),
+            number(brdf, 4) if math.isnan(u) else with_u(brdf, u),
+            number(math.pi * brdf, 4),
         ]
-        for v in d.values
+        for wavelength_nm, *angles, brdf, u in (v.values() for v in d.values)
     ]
     return table(
         "π f is the albedo of a Lambertian surface with this BRDF, and the reflectance factor.",
         ["wavelength/nm", "θi/°", "φi/°", "θr/°", "φr/°", "BRDF f/sr⁻¹", "π f"],
         rows,
         right=tuple(range(7)),
-        of=(d.usable_everywhere, f"{d.slug}-all-values.csv"),
+        of=(len(d.usable), f"{d.slug}-all-values.csv"),
     )
 
 
@@ -200,21 +200,21 @@ def _facts(d: DatasetSummary) -> Facts:
         rows.append(("wavelength", f"{d.wavelength_nm:g} nm{of * (len(wavelengths) > 1)}{_width(d)}"))
     else:
         rows.append(("band", ", ".join(_band(b) for b in d.bands) or "no wavelength stated"))
-    used = f"{d.used} of {d.rows_here}" + " at this wavelength" * (len(wavelengths) > 1)
+    used = f"{len(d.data)} of {d.rows_here}" + " at this wavelength" * (len(wavelengths) > 1)
     negative = f"; {d.negative} values are negative within the noise" if d.negative else ""
-    cones = [("source", d.source_solid_angle_sr), ("receiver", d.receiver_solid_angle_sr)]
+    cones = [(n, finite(d.table.attrs.get(f"{n}_solid_angle_sr"))) for n in ("source", "receiver")]
     uncertainty: Text = "none stated"
     if d.uncertainty_stated:
         causes = [part for c in d.causes for part in (", ", caused(c))][1:] or ["none"]
         uncertainty = (f"median {percent(d.median_u_rel)}; causes common to all values: ", *causes)
-    elif d.u_rel_assumed is not None:
-        uncertainty = f"none stated; {percent(d.u_rel_assumed)} of each value is assumed"
+    elif d.data.u_rel_assumed is not None:
+        uncertainty = f"none stated; {percent(d.data.u_rel_assumed)} of each value is assumed"
     return facts(
         [
             *rows,
             ("incidences", _angles(d.theta_i_deg)),
             ("values used", used + (f"; left out: {d.left_out_words}" if d.left_out_words else "")),
-            ("BRDF", f"{number(d.brdf_min)} to {number(d.brdf_max)} sr⁻¹{negative}"),
+            ("BRDF", f"{number(float(d.data.brdf.min()))} to {number(float(d.data.brdf.max()))} sr⁻¹{negative}"),
             ("solid angles", ", ".join(f"{n} {_cone(w)}" for n, w in cones)),
             ("uncertainty", uncertainty),
         ]
@@ -242,7 +242,7 @@ def _energy(d: DatasetSummary) -> list[Block]:
         caption = (
             "Directional-hemispherical reflectance rho_dh by angle of incidence: the share of the light that is"
             " reflected, at the measured level. Uncertainties of models follow from the covariance of their parameters"
-            + (", which rests on the assumed uncertainty." if d.u_rel_assumed is not None else ".")
+            + (", which rests on the assumed uncertainty." if d.data.u_rel_assumed is not None else ".")
             + _of_misfits(d)
         )
         out.append(table(caption, ["θi", *columns], rows, right=tuple(range(1, len(columns) + 1))))
@@ -323,7 +323,7 @@ def _aside(d: DatasetSummary) -> str:
 
 
 def _metrics(s: Summary, d: DatasetSummary) -> list[Block]:
-    known = d.uncertainty_stated or d.u_rel_assumed is not None
+    known = d.uncertainty_stated or d.data.u_rel_assumed is not None
     names = [n for n in s.metrics if any(f.metrics[n] is not None for f in d.models.values())]
     rows = [[m, number(f.fit.reduced_chi_square), *(number(f.metrics[n]) for n in names)] for m, f in d.models.items()]
     heads = [term(s.metrics[n]["label"], meaning_of_metric(n, known=known)) for n in names]
@@ -347,7 +347,7 @@ def _band(b: TableBand) -> str:
 
 
 def _width(d: DatasetSummary) -> str:
-    here = [b for b in d.bands if b.get("centre_nm") == d.wavelength_nm and b.get("fwhm_nm")]
+    here = [b for b in d.bands_shown if b.get("fwhm_nm")]
     return f", {here[0]['fwhm_nm']:g} nm wide" if here else ""
 
 

@@ -40,7 +40,7 @@ class Section:
     blocks: Callable[[DatasetSummary, Figures], Sequence[Block]]
     """Its headings, words, tables and figures; nothing where there is nothing to say."""
     draw: Callable[[Dataset, DatasetSummary], Sequence[Drawing]] = nothing
-    """Its drawings, which `blocks` finds by their kind."""
+    """Of the same sample twice: its drawings, which `blocks` finds by their kind."""
     facts: Callable[[Dataset], Any] = lambda d: None
     """Numbers of its own, which stand under `sections` in `summary.json`, by its name; None for none."""
 
@@ -109,11 +109,11 @@ def facts_of(sections: Sequence[Section], d: Dataset) -> dict[str, Any]:
     return {name: facts for name, facts in every.items() if facts is not None}
 
 
-def drawings_of(one: Section, d: Dataset, facts: DatasetSummary, taken: Mapping[str, object]) -> list[Drawing]:
+def drawings_of(one: Section, d: DatasetSummary, taken: Mapping[str, object]) -> list[Drawing]:
     """Its drawings, whose names are those of files and of no other figure (`taken`)."""
 
     def tried() -> list[Drawing]:
-        found = list(one.draw(d, facts))
+        found = list(one.draw(d, d))
         for drawing in found:
             if not isinstance(drawing, Drawing):
                 raise TypeError(f"{drawing!r} is no Drawing")

@@ -3,9 +3,12 @@
 How models compare in numbers goes from the simplest up.
 """
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from gonio.checks.symmetry import Pairs
 from gonio.checks.values import SIGNIFICANCE
@@ -16,12 +19,14 @@ from gonio_analysis.fitting.objective import DESCRIPTIONS
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.unnoticed import SMOOTH
 from gonio_analysis.report.blocks import Block, Notes, Paragraph, Text, table, term
-from gonio_analysis.report.facts import DatasetSummary
-from gonio_analysis.report.text import angle, difference, glued, number, percent, reasons, with_u
+from gonio_analysis.report.text import angle, difference, glued, number, percent, reasons, spoken_difference, with_u
 from gonio_analysis.result_records import MisfitSummary, Reflectance
 from gonio_analysis.selection.choice import ModelChoice
-from gonio_analysis.selection.judging import DECISIVE, Judged
+from gonio_analysis.selection.judging import DECISIVE, Judged, nearness
 from gonio_analysis.selection.regions import WorstRegion, farthest, worst
+
+if TYPE_CHECKING:
+    from gonio_analysis.report.facts import DatasetSummary
 
 NOT_SMALL = 0.5
 """Beyond this, what may go unnoticed is no small misfit, and nothing is said of it."""
@@ -29,6 +34,39 @@ CLEARLY = 1.05
 """A metric names another model where that one is better by this factor; less is no disagreement."""
 JUDGES = ("log_ratio", "ngan", "cube_root")
 """Whose winners are compared with each other."""
+
+
+def headline(d: DatasetSummary) -> list[str]:
+    """The verdict in one or two sentences, and after it what else is to be said."""
+    best = d.best
+    if best is None:
+        return [f"No model was fitted. {d.choice.words}"]
+    f, tried = d.models[best], len(d.choice.judged)
+    ratio, chi = f.metrics["log_ratio"], f.fit.reduced_chi_square
+    typical = "" if ratio is None else f"; model and measurement differ typically by {spoken_difference(ratio)}"
+    if f.fit.misfit is not None:
+        told = [nearness(best, f.fit, f.missed, d.choice.near, tried)]
+        if chi is None:
+            told.append(
+                "The table states no uncertainties, so nothing is accepted or rejected; --u-rel 0.03 judges the models"
+                " with an assumed uncertainty of 3 % of each value."
+            )
+        elif f.fit.rejected:
+            told.append(f"{best}: reduced chi-square {number(chi)}; {f.fit.by_chi_square}.")
+    elif chi is not None:
+        told = [of_true_model(best, f.fit, tried, named=d.choice.named is not None)]
+        told.append(f"{typical[2:3].upper()}{typical[3:]}." if typical else "")
+    else:
+        others = f"the nearest of the {tried} models tried" if tried > 1 else "the only model tried"
+        told = [f"{best} is {others}{typical}.", where(f.missed)]
+        told.append(f"--metric {f.fit.goal.metric} takes no account of uncertainties: nothing is rejected.")
+    warnings = [
+        too_bright({name: other.rho_dh for name, other in d.models.items()}, best),
+        f.fit.outside,
+        direction_of_its_own(d.symmetries, d.models),
+        disagreement({name: other.metrics for name, other in d.models.items()}, best),
+    ]
+    return [sentence for sentence in (*told, *warnings) if sentence]
 
 
 def disagreement(metrics: Mapping[str, Mapping[str, float | None]], best: str) -> str:

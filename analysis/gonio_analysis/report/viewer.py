@@ -1,7 +1,9 @@
 """What the interactive plot of a page shows: the JSON embedded in the page, which is also written as a table."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
-from typing import Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 
 import numpy as np
 
@@ -10,8 +12,10 @@ from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, bright_mirror, curves, evenly, labels, selection
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.plots import thinning
-from gonio_analysis.report.facts import DatasetSummary
-from gonio_analysis.selection.compare import Dataset, theory_angles
+from gonio_analysis.selection.compare import theory_angles
+
+if TYPE_CHECKING:
+    from gonio_analysis.report.facts import DatasetSummary
 
 MOST_LISTED = 16
 """Curves of one wavelength that can be chosen, at most."""
@@ -72,15 +76,13 @@ class ViewerData(TypedDict):
     waves: list[WaveView]
 
 
-def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES) -> ViewerData:
+def viewer(d: DatasetSummary, normalise: str, room: int = BYTES) -> ViewerData:
     """In-plane curves of a sample at every wavelength that was fitted, with every model's theory.
 
     Parameters
     ----------
     d
         The measurement with its fitted models.
-    facts
-        Its part of the summary.
     normalise
         What the plot divides by at first.
     room
@@ -93,14 +95,14 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
         Values have seven digits, theory five.
     """
     waves = _results(d)
-    here, own = finite(d.wavelength_nm), "simulated" if d.simulated else "measured"
+    here, own = d.wavelength_nm, "simulated" if d.simulated else "measured"
     drawn = {int(c.rows[0]) for c in d.curves}
     known = {
         nm: d.data if nm == here else next(iter(results.values())).data
         for nm, results in sorted(waves.items(), key=lambda item: item[0] or 0.0)
     }
-    chosen, most = _level({nm: curves(data) for nm, data in known.items()}, here, drawn, len(d.fitted), room)
-    ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.fitted.items()}
+    chosen, most = _level({nm: curves(data) for nm, data in known.items()}, here, drawn, len(d.models), room)
+    ready = {m: {int(c.curve.rows[0]): (c.theory_angle, c.theory) for c in f.drawn} for m, f in d.models.items()}
     first, out, values, shown = list[str](), list[WaveView](), 0, 0
     for nm, listed in chosen.items():
         entries: list[CurveView] = []
@@ -120,25 +122,25 @@ def viewer(d: Dataset, facts: DatasetSummary, normalise: str, room: int = BYTES)
         out.append({"nm": nm, "curves": entries})
     return {
         "name": d.title,
-        "moving": "θr" if facts.scanned == "theta_r" else "θi",
+        "moving": "θr" if d.scanned == "theta_r" else "θi",
         "at": next(k for k, w in enumerate(out) if w["nm"] == here),
         "labels": list(dict.fromkeys([*first, *(c["label"] for w in out for c in w["curves"])])),
         "shown": first,
         "points": [own],
-        "models": list(d.fitted),
-        "chosen": [own, *([facts.best] if facts.best else [])],
+        "models": list(d.models),
+        "chosen": [own, *([d.best] if d.best else [])],
         "normalise": normalise,
         "note": note(shown, values, len(out), len(known)),
         "waves": out,
     }
 
 
-def _results(d: Dataset) -> dict[float | None, dict[str, FitResult]]:
+def _results(d: DatasetSummary) -> dict[float | None, dict[str, FitResult]]:
     """Every fit by wavelength, None for a broad band, and by model."""
     waves: dict[float | None, dict[str, FitResult]] = {}
-    for model, f in d.fitted.items():
+    for model, f in d.models.items():
         for result in f.series or [f.fit]:
-            at = finite(result.data.wavelengths[0] if len(d.wavelengths) > 1 else d.wavelength_nm)
+            at = finite(result.data.wavelengths[0]) if len(d.wavelengths_nm) > 1 else d.wavelength_nm
             waves.setdefault(at, {})[model] = result
     return waves
 

@@ -78,8 +78,8 @@ class AcrossModels:
 
 def across_models(datasets: Sequence[Dataset]) -> AcrossModels:
     """Compare the parameters of those models that all samples have in common."""
-    near = {d.title: [label for label in alike(d.choice) if label in d.fitted] for d in datasets}
-    common = [label for label in datasets[0].fitted if all(label in labels for labels in near.values())]
+    near = {d.title: [label for label in alike(d.choice) if label in d.models] for d in datasets}
+    common = [label for label in datasets[0].models if all(label in labels for labels in near.values())]
     common.sort(key=lambda label: (sum(labels.index(label) for labels in near.values()), label))
     shared = [_shared(label, datasets) for label in common]
     remedies = [one for d in datasets if (one := remedy(d)) is not None]
@@ -95,7 +95,7 @@ def alike(choice: ModelChoice) -> list[str]:
 
 
 def _shared(label: str, datasets: Sequence[Dataset]) -> SharedModel:
-    fits = [(d.title, d.fitted[label].fit) for d in datasets]
+    fits = [(d.title, d.models[label].fit) for d in datasets]
     found, compared = list[Apart](), 0
     for name in fits[0][1].parameters:
         known = [(title, p) for title, fit in fits if (p := fit.parameters.get(name)) is not None and not p.fixed]
@@ -144,9 +144,9 @@ def _apart(x: Apart) -> str:
 def remedy(d: Dataset) -> Remedy | None:
     """What --ior would mend: a metal's index that was fitted freely, or a real index that the data reject."""
     best = d.choice.best
-    if best is None or best.candidate.label not in d.fitted:
+    if best is None or best.candidate.label not in d.models:
         return None
-    fit = d.fitted[best.candidate.label].fit
+    fit = d.models[best.candidate.label].fit
     if fit.problem.ior is not None or not parameters.needs_ior(best.candidate.model) or "ior" not in fit.free:
         return None
     index, k = fit.parameters["ior"].value, _value(fit, "k")

@@ -7,18 +7,21 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, update_wrapper
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
 from gonio import geometry, shown
 from gonio.checks.symmetry import Pairs, symmetries
 from gonio.errors import ConfigError, DataError
+from gonio.lost import kept
 from gonio.measurement import is_simulated
 from gonio.models.parameters import Ior
 from gonio.progress import Pace, Say
 from gonio.run_facts import RunFacts
+from gonio.shown import finite
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.curves.in_plane import NORM_WORDS, Curve, Line, Norm, Normalise, curves, labels, norm, selection
 from gonio_analysis.fitting import energy, parameters
@@ -40,6 +43,24 @@ MOST_SENT = 200_000
 """Values with which a fit is sent to another process: some 20 MB a model."""
 JUMP = 3.0
 """Factor between neighbouring wavelengths that no geometry, and no index but at a resonance, changes by."""
+
+
+T = TypeVar("T")
+Instead = TypeVar("Instead")
+D = TypeVar("D", bound="Dataset")
+
+
+def worked_out(what: str, instead: Instead) -> Callable[[Callable[[D], T]], cached_property[T | Instead]]:
+    """A property of a sample, worked out once; where that fails while a page is made, it is named (`gonio.lost`)."""
+
+    def of(make: Callable[[D], T]) -> cached_property[T | Instead]:
+        def once(d: D) -> T | Instead:
+            part: Callable[[], T | Instead] = partial(make, d)
+            return kept(f"{what} of {d.name}", part, lambda _: instead)
+
+        return cached_property(update_wrapper(once, make))
+
+    return of
 
 
 @dataclass(frozen=True)
@@ -142,16 +163,18 @@ class Dataset:
     table: DataFrame
     data: Observations
     """The values at the wavelength of the report."""
-    wavelengths: list[float]
-    wavelength_nm: float
+    wavelengths_nm: list[float | None]
+    wavelength_nm: float | None
+    """The one of the report; None for a broad band."""
     every_curve: list[Curve]
     """All curves in the plane of incidence, drawn or not."""
-    fitted: dict[str, FittedModel]
+    models: dict[str, FittedModel]
     skipped: dict[str, str]
     """Model -> why it was not fitted."""
     choice: ModelChoice
     """Which model the data ask for."""
-    transmitted: Transmitted | None
+    transmission: Transmitted | None
+    """None where the table holds reflection alone."""
     run: RunFacts | None
     """What the run's own record says, for a table that a run made."""
 
@@ -161,45 +184,47 @@ class Dataset:
         return selection(self.every_curve)
 
     @property
-    def curves_known(self) -> int:
-        """How many in-plane curves the data have."""
-        return len(self.every_curve)
-
-    @property
     def without_mirror(self) -> list[tuple[float, str]]:
         """Angle [rad] and label of every in-plane curve whose mirror direction was not measured, drawn or not."""
         labelled = zip(self.every_curve, labels(self.every_curve), strict=True)
         return [(c.parameter, label) for c, label in labelled if c.mirror is None]
 
-    @cached_property
+    @property
+    def best(self) -> str | None:
+        """The model to put first, as the choice among models says it; of those that are shown."""
+        chosen = self.choice.best
+        if chosen is not None and chosen.candidate.label in self.models:
+            return chosen.candidate.label
+        aic = {j.candidate.label: j.aic for j in self.choice.judged}
+        return min(self.models, key=lambda name: aic.get(name, math.inf), default=None)
+
+    @worked_out("rho_dh", list[Reflectance]())
     def rho_dh(self) -> list[Reflectance]:
         """Directional-hemispherical reflectances of the measurement itself."""
         return energy.of_table(self.data)
 
-    @cached_property
+    @worked_out("rho_dh of models that are as near", dict[str, list[Reflectance]]())
     def rho_dh_near(self) -> dict[str, list[Reflectance]]:
         """rho_dh of the models that cannot be told from the nearest (`ModelChoice.near`), by label, shown or not."""
         fits = {j.candidate.label: j.fit for j in self.choice.judged}
-        shown = {label: one.rho_dh for label, one in self.fitted.items()}
+        shown = {label: one.rho_dh for label, one in self.models.items()}
         return {label: shown.get(label) or energy.of_model(fits[label]) for label in self.choice.near}
 
-    @cached_property
+    @worked_out("rho_dh with the misfit", list[Reflectance]())
     def rho_dh_combined(self) -> list[Reflectance]:
-        """rho_dh of those models taken together."""
+        """rho_dh of those models taken together; empty where one is true."""
         return energy.combined([(self.choice.near[label], found) for label, found in self.rho_dh_near.items()])
 
-    @cached_property
+    @worked_out("symmetries", list[Pairs]())
     def symmetries(self) -> list[Pairs]:
         """What pairs of directions say of the sample, and of its alignment."""
         return symmetries(self.data.checked)
 
-    @cached_property
-    def polarisation(self) -> MuellerFacts | None:
+    @worked_out("Mueller matrices", None)
+    def mueller(self) -> MuellerFacts | None:
         """The Mueller matrices that the table holds."""
-        best = self.choice.best.candidate.label if self.choice.best is not None else None
-        known = self.fitted.get(best or "") or next(iter(self.fitted.values()), None)
-        label = next((name for name, one in self.fitted.items() if one is known), None)
-        return polarisation(self.table, self.data, self.curves, label, None if known is None else known.fit)
+        best = self.best
+        return polarisation(self.table, self.data, self.curves, best, None if best is None else self.models[best].fit)
 
     @property
     def simulated(self) -> bool:
@@ -271,8 +296,9 @@ def examine(
     fitted = {j.candidate.label: one for j, one in zip(drawn, done, strict=True)}
     skipped = {} if every else choice.left_out
     at = at if data.light is None else _described(table, name, u_rel, data).nearest(wavelength)[0]
+    waves = [finite(w) for w in data.wavelengths]
     return Dataset(
-        name, source, table, at, data.wavelengths, wavelength, found, fitted, skipped, choice, through, run
+        name, source, table, at, waves, finite(wavelength), found, fitted, skipped, choice, through, run
     )  # fmt: skip
 
 

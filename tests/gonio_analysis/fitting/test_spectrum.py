@@ -112,11 +112,11 @@ def test_a_surface_that_is_another_at_each_wavelength_is_said_to_be() -> None:
 
 def test_a_report_shows_one_geometry_at_all_wavelengths_and_separate_ones_if_asked() -> None:
     table = several()
-    shown = examine(table, ["he-torrance"], name="x", ior=SURFACE["ior"]).fitted["he-torrance"]
+    shown = examine(table, ["he-torrance"], name="x", ior=SURFACE["ior"]).models["he-torrance"]
     assert len({r.parameters["sigma0_um"].value for r in shown.series}) == 1
     assert shown.fit.parameters["sigma0_um"].value == shown.series[0].parameters["sigma0_um"].value
     assert [r.wavelength_nm for r in shown.series] == list(WAVES)
-    apart = examine(table, ["he-torrance"], name="x", ior=SURFACE["ior"], separate=True).fitted["he-torrance"]
+    apart = examine(table, ["he-torrance"], name="x", ior=SURFACE["ior"], separate=True).models["he-torrance"]
     assert len({r.parameters["sigma0_um"].value for r in apart.series}) == 3
     assert apart.fit.shared is None
 

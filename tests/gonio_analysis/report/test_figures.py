@@ -44,22 +44,22 @@ def gloss() -> Dataset:
 @pytest.mark.slow
 def test_models_that_coincide_are_drawn_once_and_both_named(gloss: Dataset) -> None:
     groups = figures.coinciding(gloss)
-    assert sorted(name for group in groups for name in group) == sorted(gloss.fitted)
+    assert sorted(name for group in groups for name in group) == sorted(gloss.models)
     for group in groups:
-        first = gloss.fitted[group[0]]
+        first = gloss.models[group[0]]
         for name in group[1:]:
-            np.testing.assert_allclose(gloss.fitted[name].fit.predicted, first.fit.predicted, rtol=figures.SAME_CURVE)
+            np.testing.assert_allclose(gloss.models[name].fit.predicted, first.fit.predicted, rtol=figures.SAME_CURVE)
     # a forward lobe leaves Oren and Nayar's backscatter nothing: sigma is 0, which is Lambert's surface
     assert groups == [["lambert", "oren-nayar"], ["phong"]]
     facts = facts_of(gloss)
-    drawn = [d for d in figures.draw(gloss, facts, 500) if d.kind == "polar"]
+    drawn = [d for d in figures.draw(facts, 500) if d.kind == "polar"]
     assert len(drawn) == len(groups)
     assert "which coincide" in drawn[0].caption
     assert all(name in drawn[0].caption for name in groups[0])
 
 
 def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
-    (overlay,) = [one for one in figures.draw(gloss, facts_of(gloss), 500) if one.kind == "overlay"]
+    (overlay,) = [one for one in figures.draw(facts_of(gloss), 500) if one.kind == "overlay"]
     svg = overlay.rendered().svg
     for words in ("θi = 10°", "θi = 30°", "θi = 60°", "lambert = oren-nayar", "phong", "measurement"):
         assert f">{words}<" in svg
@@ -73,7 +73,7 @@ def test_all_models_stand_together_on_every_curve(gloss: Dataset) -> None:
 
 @pytest.mark.parametrize("kind", ["polar", "absolute", "overlay"])
 def test_legends_stand_near_their_axes_and_overprint_nothing(gloss: Dataset, kind: str) -> None:
-    for one in [one for one in figures.draw(gloss, facts_of(gloss), 500) if one.kind == kind]:
+    for one in [one for one in figures.draw(facts_of(gloss), 500) if one.kind == kind]:
         figure = Figure(figsize=one.inches)
         one.on(figure)
         figure.canvas.draw()

@@ -15,12 +15,13 @@ from gonio_analysis.report import (
     appearance,
     change,
     change_page,
-    comparison,
+    facts,
     files,
     html,
     laboratories,
     page,
     sample,
+    verdict,
     viewer,
 )
 from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph, Table
@@ -192,7 +193,7 @@ TOGETHER = [
     (files, "_parameters", "tables/parameters.csv"), (files, "_curves", "tables/matte-curves.csv"),
     (viewer, "viewer", "interactive plot"), (report, "_cite", "datacite.json"),
     (sample, "_energy", "energy and symmetry"), (page, "_provenance", "provenance"),
-    (comparison, "of_table", "quantities of appearance"), (comparison, "_conclusion", "the headline"),
+    (facts, "of_table", "quantities of appearance"), (verdict, "headline", "the headline"),
 ]  # fmt: skip
 """Parts of which none hides another."""
 

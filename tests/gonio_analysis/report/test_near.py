@@ -22,9 +22,9 @@ def hidden() -> Dataset:
     frame = measure(build("lambert", {"albedo": 0.5}), incidences=(20.0, 65.0), noise=0.2, floor=0.0)
     frame[["u_brdf", "u_random"]] = float("nan")
     whole = examine(frame, ["lambert", "oren-nayar", "phong"], name="matte")
-    assert set(whole.choice.near) == set(whole.fitted)
-    shown = {name: one for name, one in whole.fitted.items() if name != "phong"}
-    return replace(whole, fitted=shown)
+    assert set(whole.choice.near) == set(whole.models)
+    shown = {name: one for name, one in whole.models.items() if name != "phong"}
+    return replace(whole, models=shown)
 
 
 def test_a_page_speaks_of_models_that_it_does_not_show(hidden: Dataset, tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_every_curve_without_its_mirror_direction_is_listed() -> None:
     facts = facts_of(examine(measure(MATTE, incidences=thetas, views=views), ["lambert"], name="x"))
     (note,) = [n for n in facts.notes if n.startswith("The mirror direction was not measured")]
     assert all(f"θi = {t:g}°" in note for t in thetas)
-    assert facts.curves_without_mirror == pytest.approx(thetas)
+    assert [np.degrees(at) for at, _ in facts.without_mirror] == pytest.approx(thetas)
 
 
 def test_a_table_without_a_wavelength_is_not_said_to_hold_a_broad_band() -> None:
@@ -104,7 +104,7 @@ def test_a_series_that_starts_in_another_valley_is_brought_back(monkeypatch: pyt
         return replace(found, parameters=lost)
 
     monkeypatch.setattr("gonio_analysis.selection.compare.fit", astray)
-    series = examine(table, ["phong"], name="x", separate=True).fitted["phong"].series
+    series = examine(table, ["phong"], name="x", separate=True).models["phong"].series
     assert [round(r.parameters["exponent"].value, -1) for r in series] == [40.0] * 3
 
 

@@ -42,7 +42,7 @@ def clear(drawings: Sequence[Drawing], *kinds: str) -> None:
 def of_report(frame: pd.DataFrame, *models: str) -> list[Drawing]:
     """Every figure of a sample in a report."""
     found = examine(frame, models or ("lambert", "phong"), name=str(frame.attrs["sample"]))
-    (drawn,) = report._drawings([(found, facts_of(found))], None)
+    (drawn,) = report._drawings([facts_of(found)], None)
     return drawn
 
 

@@ -83,7 +83,7 @@ def test_metrics_that_disagree_are_named() -> None:
 @pytest.mark.slow
 def test_an_assumed_uncertainty_judges_and_is_called_assumed() -> None:
     facts = headline(bare(noise=0.03), "lambert", "cook-torrance", u_rel=0.03)
-    assert facts.u_rel_assumed == 0.03
+    assert facts.data.u_rel_assumed == 0.03
     assert facts.uncertainty_stated is False
     f = facts.models["cook-torrance"]
     # 95 degrees of freedom: 1 +- 0.145; 3.4 of them

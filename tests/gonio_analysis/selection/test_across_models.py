@@ -48,7 +48,7 @@ def test_a_model_that_is_far_from_one_of_them_compares_nothing(paints: list[Data
 def test_a_metal_with_a_free_index_has_a_remedy() -> None:
     gold = build("cook-torrance", {"s": 1.0, "d": 0.0, "m": 0.3, "diffuse_albedo": 0.0, "ior": 20.0})
     leaf = sample("gold leaf", gold, 1, "cook-torrance")
-    if leaf.fitted["cook-torrance"].fit.parameters["ior"].value > 3.0:
+    if leaf.models["cook-torrance"].fit.parameters["ior"].value > 3.0:
         (one,) = across_models([leaf, leaf]).remedies[:1]
         assert "--ior gold leaf.csv=Au takes the index of Au" in one.words
     given = examine(leaf.table, ["cook-torrance"], name="gold leaf", source="gold leaf.csv", ior="Au")
@@ -59,14 +59,14 @@ def test_an_index_that_is_not_known_is_not_called_a_metals(paints: list[Dataset]
     """n = 7 with u = 27 "reflects as a metal does", beside a table that said 7 +- 27."""
     gold = build("cook-torrance", {"s": 1.0, "d": 0.0, "m": 0.3, "diffuse_albedo": 0.0, "ior": 20.0})
     leaf = sample("leaf", gold, 1, "cook-torrance")
-    fitted = leaf.fitted["cook-torrance"]
+    fitted = leaf.models["cook-torrance"]
     for n, u, words in (
         (7.0, 27.0, "n = 7 ± 27 with k = 0 may stand for"),
         (7.0, 1.0, "n = 7.0 ± 1.0 with k = 0 refl"),
     ):
         known_to = replace(fitted.fit.parameters["ior"], value=n, u=u)
         fit = replace(fitted.fit, parameters={**fitted.fit.parameters, "ior": known_to})
-        said = remedy(replace(leaf, fitted={"cook-torrance": replace(fitted, fit=fit)}))
+        said = remedy(replace(leaf, models={"cook-torrance": replace(fitted, fit=fit)}))
         assert words in known(said).words
 
 

@@ -39,7 +39,7 @@ def table() -> pd.DataFrame:
 @pytest.mark.slow
 def test_the_models_own_matrices_leave_noise(table: pd.DataFrame) -> None:
     dataset = examine(table, ["lambert", "he-torrance"], name="metal", ior=INDEX)
-    found = known(dataset.polarisation)
+    found = known(dataset.mueller)
     assert found.model == "he-torrance"
     assert [e.name for e in found.elements] == list(MUELLER)
     values = found.points * len(MUELLER)
@@ -53,7 +53,7 @@ def test_the_models_own_matrices_leave_noise(table: pd.DataFrame) -> None:
 
 def test_a_wrong_sign_is_seen(table: pd.DataFrame) -> None:
     dataset = examine(table.assign(m22=-table["m22"]), ["he-torrance"], name="metal", ior=INDEX)
-    chi = {e.name: e.chi_square_per_value for e in known(dataset.polarisation).elements}
+    chi = {e.name: e.chi_square_per_value for e in known(dataset.mueller).elements}
     assert known(chi["m22"]) > 100
     # the matrix is fitted whole, so that a wrong element pulls at all
     assert max(value for name, value in chi.items() if name != "m22" and value is not None) < known(chi["m22"])
