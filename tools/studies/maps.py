@@ -179,8 +179,7 @@ def make(
             progress(f"{name} ...")
             rows.append(measured(name, QUICK if quick or name == "he-torrance" else PIXELS))
         made = stamp(command)
-        _, page = files.drawn_and_said(TITLE, lambda: [], lambda _: _page(rows, made))
-        files.write_page(stage.work, page, {"rows": rows, **made}, [])
+        files.write_page(stage.work, TITLE, lambda _: _page(rows, made), lambda _: {"rows": rows, **made})
     return Path(out) / "index.html"
 
 

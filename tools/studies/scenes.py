@@ -133,10 +133,9 @@ def make(out: str | Path, *, quick: bool = False, command: str = "", step: Step 
         for name in ("samples", "tolerances", "bins", "ways", "shared", "peers"):
             if rows := summary[name]:
                 files.written(stage.work / "tables" / f"{name}.csv", partial(_table, rows))
-        drawn, page = files.drawn_and_said(
-            summary["title"], lambda: [scenes_page.drawn(summary)], partial(scenes_page.render, summary)
-        )
-        files.write_page(stage.work, page, summary, drawn)
+        render = partial(scenes_page.render, summary)
+        draw = partial(scenes_page.drawn, summary)
+        files.write_page(stage.work, summary["title"], render, lambda _: summary, lambda: [draw()])
     return Path(out) / "index.html"
 
 

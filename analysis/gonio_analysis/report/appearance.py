@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gonio import lost, measurement
+from gonio import measurement
 from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio.typing import Floats
@@ -28,7 +28,6 @@ from gonio_analysis.report.blocks import (
     notes,
     stamp,
     table,
-    titled,
 )
 from gonio_analysis.report.drawing import Drawing, Figure, FigureWorkers
 from gonio_analysis.report.facts import DatasetSummary
@@ -135,11 +134,14 @@ def make(a: Appearance, out: str | Path, *, command: str = "") -> Path:
         The folder cannot be written, or holds something that this program did not write.
     """
     with files.staged(out) as stage:
-        drawings = lost.kept("figures", lambda: _drawings(a), lambda loss: [])
-        figures, made = FigureWorkers().draw(drawings), stamp(command)
-        summary = {**as_json(a), **made, "figures": figures}
-        page = lost.kept("the page", lambda: _page(a, made, figures), lambda loss: titled(a.title))
-        files.write_page(stage.work, page, summary, figures)
+        made = stamp(command)
+        files.write_page(
+            stage.work,
+            a.title,
+            partial(_page, a, made),
+            lambda figures: {**as_json(a), **made, "figures": figures},
+            lambda: FigureWorkers().draw(_drawings(a)),
+        )
     return Path(out) / "index.html"
 
 

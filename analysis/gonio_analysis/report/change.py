@@ -20,7 +20,7 @@ from gonio_analysis.fitting.objective import DESCRIPTIONS
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, change_page, files, viewer
-from gonio_analysis.report.blocks import Stamp, stamp, titled
+from gonio_analysis.report.blocks import Stamp, stamp
 from gonio_analysis.report.change_page import Waves
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.files import ROWS_AT_ONCE, write_columns, write_csv
@@ -95,26 +95,24 @@ def _write(
     at, shown = replace(c.at, brdf=c.value_a, rows=np.arange(len(c.at))).nearest(wavelength_nm)
     every = curves(at)
     drawn = selection(every)
-    drawings = lost.kept("figures", lambda: change_figures.draw(c, at, drawn, shown), lambda loss: [])
-    figures = workers.draw(drawings, progress)
     tables = files.written(folder / "tables" / "change.csv", lambda path: write_columns(path, COLUMNS, _columns(c)))
     if len(waves) > 1:
         tables += files.written(
             folder / "tables" / "wavelengths.csv",
             lambda path: write_csv(path, list(waves[0]), (list(w.values()) for w in waves)),
         )
-    last = {"shown_wavelength_nm": shown, "figures": figures, "tables": tables}
     listed = selection(every, viewer.MOST_LISTED)
     view = None
     if drawn:
         view = lost.kept("the interactive plot", lambda: _view(c, at, listed, drawn, shown), lambda loss: None)
-    page = lost.kept(
-        "the page",
-        lambda: change_page.page(c, made, runs, waves, figures, view),
-        lambda loss: titled(change_page.title(c)),
+    summary = {**_summary(c, made, conclusion, runs), "wavelengths": waves, "notes": change_page.notes_of(c)}
+    files.write_page(
+        folder,
+        change_page.title(c),
+        lambda figures: change_page.page(c, made, runs, waves, figures, view),
+        lambda figures: {**summary, "shown_wavelength_nm": shown, "figures": figures, "tables": tables},
+        lambda: workers.draw(change_figures.draw(c, at, drawn, shown), progress),
     )
-    summary = {**_summary(c, made, conclusion, runs), "wavelengths": waves, "notes": change_page.notes_of(c), **last}
-    files.write_page(folder, page, summary, figures)
 
 
 def _summary(c: Change, made: Stamp, conclusion: str, runs: Sequence[RunFacts | None]) -> dict[str, object]:

@@ -373,13 +373,20 @@ def drawn_and_said(
     title: str, draw: Callable[[], Sequence[Figure]], render: Callable[[Sequence[Figure]], Page]
 ) -> tuple[Sequence[Figure], Page]:
     """The figures of a page, and the page with them, as far as they can be made."""
-    figures = lost.kept("figures", draw, lambda loss: [])
+    figures = lost.kept("figures", draw, lambda loss: ())
     return figures, lost.kept("the page", lambda: render(figures), lambda loss: titled(title))
 
 
-def write_page(folder: Path, page: Page, summary: object, figures: Iterable[Figure] = ()) -> None:
-    """Write `index.html`, and with it what `write_pages` writes."""
-    write_pages(folder, {"index.html": page}, summary, figures)
+def write_page(
+    folder: Path,
+    title: str,
+    render: Callable[[Sequence[Figure]], Page],
+    summary: Callable[[Sequence[Figure]], object],
+    draw: Callable[[], Sequence[Figure]] = tuple,
+) -> None:
+    """Write `index.html`, and what `write_pages` writes: page and summary are made with the figures of `draw`."""
+    figures, page = drawn_and_said(title, draw, render)
+    write_pages(folder, {"index.html": page}, summary(figures), figures)
 
 
 def _check(final: Path, shown: Path) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,6 @@ from gonio_analysis.report.blocks import (
     notes,
     stamp,
     table,
-    titled,
 )
 from gonio_analysis.report.drawing import Figure, figure_workers
 from gonio_analysis.report.files import write_columns
@@ -96,12 +96,15 @@ def make(
             progress(note)
         found = compared(sides, shared or {}, wavelength_nm=wavelength_nm, say=progress)
         progress(conclusion(found))
-        drawings = lost.kept("figures", lambda: change_figures.draw_laboratories(found), lambda loss: [])
-        drawn = workers.draw(drawings, progress)
         tables = lost.kept("tables", lambda: _write_tables(found, stage.work / "tables"), lambda loss: [])
-        last, made = {"figures": drawn, "tables": tables}, stamp(command)
-        page = lost.kept("the page", lambda: _page(found, made, drawn), lambda loss: titled(_title(found)))
-        files.write_page(stage.work, page, {**_summary(found, made), **last}, drawn)
+        made = stamp(command)
+        files.write_page(
+            stage.work,
+            _title(found),
+            partial(_page, found, made),
+            lambda figures: {**_summary(found, made), "figures": figures, "tables": tables},
+            lambda: workers.draw(change_figures.draw_laboratories(found), progress),
+        )
     return Path(out) / "index.html"
 
 

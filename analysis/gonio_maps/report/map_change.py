@@ -1,6 +1,7 @@
 """The report on two maps of fits compared pixel by pixel (`gonio compare A.h5 B.h5 --change`)."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,6 @@ from gonio_analysis.report.blocks import (
     lead,
     stamp,
     table,
-    titled,
 )
 from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.files import write_columns, write_csv
@@ -77,12 +77,15 @@ def make(
         progress(f"comparing {specs[1]} with {specs[0]}")
         found = change(*specs)
         progress(conclusion(found))
-        figures = workers.draw(lost.kept("figures", lambda: _drawings(found), lambda loss: []), progress)
         tables = lost.kept("tables", lambda: _write_tables(found, stage.work / "tables"), lambda loss: [])
         made = stamp(command)
-        summary = {**_summary(found, specs, made), "figures": figures, "tables": tables}
-        page = lost.kept("the page", lambda: _page(found, specs, made, figures), lambda loss: titled(_title(specs)))
-        files.write_page(stage.work, page, summary, figures)
+        files.write_page(
+            stage.work,
+            _title(specs),
+            partial(_page, found, specs, made),
+            lambda figures: {**_summary(found, specs, made), "figures": figures, "tables": tables},
+            lambda: workers.draw(_drawings(found), progress),
+        )
     return Path(out) / "index.html"
 
 

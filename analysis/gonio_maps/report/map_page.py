@@ -29,7 +29,6 @@ from gonio_analysis.report.blocks import (
     missing,
     stamp,
     table,
-    titled,
 )
 from gonio_analysis.report.drawing import Drawing, Figure, figure_workers
 from gonio_analysis.report.files import write_csv
@@ -255,13 +254,16 @@ def make(
         raise ConfigError(f"--map {values}: {path} is a map of values itself; leave it out")
     with files.staged(out) as stage, figure_workers(FIGURES) as workers:
         told = _of_fits(path, values, progress) if fitted else _of_values(path, progress)
-        figures = workers.draw(told.drawings, progress)
         tables = _write_tables(told, stage.work / "tables")
         made = stamp(command)
         summary = {"title": told.title, **made, "conclusion": told.conclusion, **told.summary}
-        summary |= {"figures": figures, "tables": tables}
-        page = lost.kept("the page", lambda: _page(told, made, figures), lambda loss: titled(told.title))
-        files.write_page(stage.work, page, summary, figures)
+        files.write_page(
+            stage.work,
+            told.title,
+            partial(_page, told, made),
+            lambda figures: {**summary, "figures": figures, "tables": tables},
+            lambda: workers.draw(told.drawings, progress),
+        )
     return Path(out) / "index.html"
 
 

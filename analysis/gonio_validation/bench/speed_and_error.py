@@ -111,8 +111,7 @@ def write(summary: JsonObject, folder: Path) -> None:
     def draw() -> list[Figure]:
         return [pareto.draw(q) for q in summary["families"] if len(q.ways) > 2]
 
-    drawn, page = files.drawn_and_said(summary["title"], draw, partial(results_page.render, summary))
-    files.write_page(folder, page, summary, drawn)
+    files.write_page(folder, summary["title"], partial(results_page.render, summary), lambda _: summary, draw)
 
 
 def _points_table(summary: JsonObject, path: Path) -> None:

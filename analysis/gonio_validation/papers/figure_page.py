@@ -49,8 +49,7 @@ def write(page: PaperFigure, folder: Path, command: str) -> JsonObject:
             for p in page.panels
         ]
 
-    drawn, made = files.drawn_and_said(page.title, draw, partial(render, page, found))
-    files.write_page(folder, made, found, drawn)
+    files.write_page(folder, page.title, partial(render, page, found), lambda _: found, draw)
     return found
 
 
@@ -78,8 +77,7 @@ def summarise(page: PaperFigure, command: str) -> JsonObject:
 def write_index(pages: Sequence[JsonObject], folder: Path, command: str) -> None:
     """Write the page that links all figures into the folder that holds theirs."""
     kept = [{name: page[name] for name in ("figure", "title", "claims")} for page in pages]
-    _, page = files.drawn_and_said(ALL, lambda: [], lambda _: index(pages, command))
-    files.write_page(folder, page, {"figures": kept})
+    files.write_page(folder, ALL, lambda _: index(pages, command), lambda _: {"figures": kept})
 
 
 def render(page: PaperFigure, found: JsonObject, drawn: Sequence[Figure]) -> Page:

@@ -104,8 +104,7 @@ def verify(folder: Path, command: str = "", say: Callable[[str], None] = lambda 
 def make(out: Path, result: JsonObject) -> Path:
     """The page and `summary.json` of a verification; the path of `index.html`."""
     with files.staged(out) as stage:
-        _, page = files.drawn_and_said(result["title"], lambda: [], lambda _: _page(result))
-        files.write_page(stage.work, page, as_json(result), ())
+        files.write_page(stage.work, result["title"], lambda _: _page(result), lambda _: result)
     return out / "index.html"
 
 

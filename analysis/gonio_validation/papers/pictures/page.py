@@ -94,8 +94,7 @@ def make(out: str | Path, *, figure: str | None = None, command: str = "", step:
         def draw() -> list[Figure]:
             return [_cross_sections()] if "oren-nayar-13" in judged else []
 
-        plots, page = files.drawn_and_said(title, draw, partial(_page, found, which, images, judged))
-        files.write_page(stage.work, page, found, plots)
+        files.write_page(stage.work, title, partial(_page, found, which, images, judged), lambda _: found, draw)
     return Path(out) / "index.html"
 
 
