@@ -21,7 +21,6 @@ from gonio_analysis.report.blocks import (
     stamp,
     table,
 )
-from gonio_analysis.result_records import as_json
 
 from gonio.errors import GonioError
 from gonio.typing import JsonObject
