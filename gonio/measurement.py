@@ -437,6 +437,14 @@ def tables(spec: str | Path, how: Reading | None = None, *, apart: bool = False)
     return found if apart else channels.joined(found)
 
 
+def of_one(spec: str | Path, how: Reading | None = None) -> tuple[str, DataFrame]:
+    """The one sample of these, and its name; a `ConfigError` where there are several."""
+    found = tables(spec, how)
+    if len(found) > 1:
+        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
+    return next(iter(found.items()))
+
+
 def unpolarised(frame: DataFrame) -> DataFrame:
     """The table of one sample with what unpolarised light would show, where every state of polarisation was measured.
 

@@ -2,7 +2,8 @@
 
 import pandas as pd
 import pytest
-from gonio_analysis.changes.point_by_point import Side, change
+from gonio_analysis.changes.point_by_point import change
+from gonio_analysis.changes.sides import Side
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.compare import examine

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_analysis import commands
-from gonio_analysis.changes.point_by_point import side
+from gonio_analysis.changes.sides import side
 from gonio_analysis.commands import arguments, warm
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.forward import apparent

@@ -9,7 +9,8 @@ Models of seven kinds are drawn in turn, most with edges: where masking begins, 
 import argparse
 
 import numpy as np
-from gonio_analysis.changes.point_by_point import change, of_table
+from gonio_analysis.changes.point_by_point import change
+from gonio_analysis.changes.sides import of_table
 
 from gonio.models import Model, build
 from tests.gonio_analysis.synthetic import measure

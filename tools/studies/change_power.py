@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from gonio_analysis.changes.point_by_point import change, of_table
+from gonio_analysis.changes.point_by_point import change
+from gonio_analysis.changes.sides import of_table
 
 from gonio.typing import Floats
 

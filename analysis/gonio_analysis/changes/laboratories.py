@@ -26,8 +26,9 @@ from gonio_analysis.changes.consensus import (
     equivalence,
     joint,
 )
-from gonio_analysis.changes.point_by_point import Side, instead, laid_on, require_alike
+from gonio_analysis.changes.point_by_point import instead, laid_on
 from gonio_analysis.changes.resampling import Carried, carry, turned_in_plane
+from gonio_analysis.changes.sides import Side, require_alike
 from gonio_analysis.fitting.observations import Observations, Unused, describe_left_out
 from gonio_analysis.fitting.value_covariance import Covariance
 

@@ -16,98 +16,30 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gonio import geometry, measurement, shown
+from gonio import geometry, shown
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import SAME_ANGLE, Directions
-from gonio.measurement import is_simulated, of_reader
 from gonio.models.corrected import Corrected, folded
 from gonio.progress import Say, silent
-from gonio.typing import DataFrame, Floats
+from gonio.typing import Floats
 from gonio_analysis.changes.resampling import Carried, Interpolations, carry, common_wavelengths, slope_in_plane
+from gonio_analysis.changes.sides import Compared, Side, require_alike
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import metrics, ratio_to, scaled_to
-from gonio_analysis.fitting.observations import Observations, describe_left_out, observations
+from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.fitting.value_covariance import ADDED, Covariance
 
 if TYPE_CHECKING:
-    from gonio.measurement import Reading
+    pass
 
 INCIDENCES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0)
 """Directions of two models: these incidences, theta_r from 0 to 85 by 2.5 degrees, these dphi."""
-
-
-@dataclass(frozen=True)
-class Side:
-    """A measurement, or a model."""
-
-    name: str
-    source: str
-    table: DataFrame | None = None
-    """Columns and attributes of the measurement's table, without its rows: their values are in `data`."""
-    data: Observations | None = None
-    model: Any = None
-    misfit: float = 0.0
-    """Where the model is not true: relative standard deviation of measurements from it (docs/misfit.md)."""
-    through: Side | None = None
-    """The transmission of a table that has both."""
-    behind: bool = False
-    """Whether `data` is transmission, turned over (`gonio.measurement.turned_over`)."""
-
-    @property
-    def kind(self) -> str:
-        """In a word: measurement, or model."""
-        return "measurement" if self.data is not None else "model"
-
-    @property
-    def measured(self) -> Observations:
-        """The values of a measurement."""
-        assert self.data is not None
-        return self.data
-
-    @property
-    def simulated(self) -> bool:
-        """Whether a simulation made the values of a measurement."""
-        return self.table is not None and is_simulated(self.table)
-
-    @property
-    def title(self) -> str:
-        """The name, with a mark where the values are simulated."""
-        return shown.marked(self.name, self.simulated)
-
-
-@dataclass(frozen=True)
-class Compared:
-    """What a comparison says of a side; the values that were compared are its own."""
-
-    name: str
-    source: str
-    kind: str
-    title: str
-    simulated: bool
-    model: Any
-    values: int
-    """How many a measurement has that can be used."""
-    left_out: Mapping[str, int]
-    """Why rows of its table are none, and how many."""
-    stated: bool
-    """Whether it states uncertainties."""
-    notes: Sequence[str]
-    """What its reader says."""
-
-    @classmethod
-    def of(cls, x: Side) -> Compared:
-        """Of a side."""
-        values, left_out, stated = 0, dict[str, int](), False
-        if x.data is not None:
-            values, left_out, stated = len(x.data), x.data.left_out, x.data.covariance is not None
-        notes = of_reader(x.table) if x.table is not None else ()
-        return cls(x.name, x.source, x.kind, x.title, x.simulated, x.model, values, left_out, stated, notes)
 
 
 @dataclass(frozen=True)
@@ -203,48 +135,6 @@ class Change:
         return self.covariance.total if self.covariance is not None else np.full(len(self.at), np.nan)
 
 
-def side(spec: str, how: Reading | None = None, u_rel: float | None = None) -> Side:
-    """What a command line names: a table, a run, `FILE:SAMPLE`, or a model as a sample file (.toml).
-
-    `u_rel` is the relative standard uncertainty to assume of a table that states none.
-
-    Raises
-    ------
-    ConfigError, DataError
-        From reading it; a file of several samples has to be narrowed to one.
-    """
-    if spec.endswith(".toml"):
-        from gonio.samples.files import load_model
-
-        model, sample = load_model(spec)
-        off = 0.0 if sample.uncertainty is None else sample.uncertainty.misfit
-        return Side(sample.name, spec, model=model, misfit=off)
-
-    found = measurement.tables(spec, how)
-    if len(found) > 1:
-        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
-    name, table = next(iter(found.items()))
-    return of_table(name, spec, table, u_rel)
-
-
-def of_table(name: str, source: str, table: DataFrame, u_rel: float | None = None) -> Side:
-    """A side of a comparison from a measurement table: its reflection, and apart from it its transmission."""
-
-    def of(rows: DataFrame, called: str, **more: Any) -> Side:
-        return Side(name, called, rows.iloc[:0].copy(), observations(rows, called, u_rel), **more)
-
-    through = measurement.transmission(table)
-    if through is None:
-        return of(table, source)
-    turned = measurement.turned_over(through)
-    if len(through) == len(table):
-        return of(turned, source, behind=True)
-    behind = None
-    if (through["flag"].fillna("") == "").any():
-        behind = of(turned, f"{source}, transmission", behind=True)
-    return of(measurement.reflection(table), source, through=behind)
-
-
 def _of_measured(at: Observations, values: Sequence[Floats], *, measured_is_a: bool) -> Covariance | None:
     """The covariance of the differences by the measurement's own, scaled to the model's values."""
     if at.covariance is None:
@@ -338,15 +228,6 @@ def _off(x: Side, at: Observations, value: Floats) -> Floats | None:
         where = folded(at.directions, x.model.model)
         return np.asarray(np.linalg.norm(known.beside(where, apparent(x.model.model, at))[1], axis=1))
     return x.misfit * np.abs(value) if x.misfit else None
-
-
-def require_alike(a: Side, b: Side) -> None:
-    """Transmission is compared with transmission, and with nothing else."""
-    if a.behind != b.behind:
-        one, other = (a, b) if a.behind else (b, a)
-        raise DataError(
-            f"{one.source} holds transmission alone, and {other.source} reflection: the two are not the same quantity"
-        )
 
 
 def _through(a: Side, b: Side, wavelength_nm: float | None, say: Say) -> list[str]:

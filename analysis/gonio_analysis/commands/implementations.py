@@ -226,11 +226,7 @@ def _constants(asked: FitRequest, constants: Constants, samples: list[NamedSampl
 
 def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations, bool]:
     """The one sample that a table on the command line names, its usable values, and whether they are simulated."""
-    samples = measurement.tables(table, how)
-    if len(samples) > 1:
-        listed = "; ".join(samples)
-        raise ConfigError(f"{table} holds {len(samples)} samples: name one as {table}:SAMPLE, of: {listed}")
-    name, frame = next(iter(samples.items()))
+    name, frame = measurement.of_one(table, how)
     return name, observations(frame, table, u_rel, polarised=True), measurement.is_simulated(frame)
 
 

@@ -18,8 +18,9 @@ from gonio.errors import DataError
 from gonio.geometry import AROUND_MIRROR, SAME_ANGLE, angle_between, groups
 from gonio.progress import Say, silent
 from gonio.typing import Floats, Ints
-from gonio_analysis.changes.point_by_point import Change, Side, change, laid_on
+from gonio_analysis.changes.point_by_point import Change, change, laid_on
 from gonio_analysis.changes.resampling import RowsAt, common_wavelengths
+from gonio_analysis.changes.sides import Side
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.curves.lobes import GRAZING, NEAR_SOURCE
 from gonio_analysis.fitting.observations import Observations
@@ -144,7 +145,7 @@ def across(sides: Sequence[Side], *, wavelength_nm: float | None = None, say: Sa
     Parameters
     ----------
     sides
-        See `gonio_analysis.changes.point_by_point.of_table`.
+        See `gonio_analysis.changes.sides.of_table`.
     wavelength_nm
         The nearest common wavelength is the one that factors and lobes are told at (550 nm if none is given).
     say

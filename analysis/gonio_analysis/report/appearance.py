@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gonio import measurement
-from gonio.errors import ConfigError
 from gonio.measurement import Reading
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
@@ -64,10 +63,7 @@ def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = N
 
         return of_sample(load_sample(spec, uniform=True), source=spec, wavelength_nm=wavelength_nm)
 
-    found = measurement.tables(spec, how)
-    if len(found) > 1:
-        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
-    name, table = next(iter(found.items()))
+    name, table = measurement.of_one(spec, how)
     return of_table(table, name=name, source=spec, wavelength_nm=wavelength_nm)
 
 

@@ -12,8 +12,9 @@ from gonio.measurement import Reading, of_reader, said_once
 from gonio.run_facts import RunFacts
 from gonio.run_facts import of as run_facts
 from gonio.shown import finite
-from gonio_analysis.changes.point_by_point import Change, Compared, compared, side
+from gonio_analysis.changes.point_by_point import Change, compared
 from gonio_analysis.changes.resampling import RowsAt
+from gonio_analysis.changes.sides import Compared, side
 from gonio_analysis.changes.verdict import FALSE_DISCOVERIES, LEVEL, OFTEN, Effect, Verdict
 from gonio_analysis.curves.in_plane import Curve, curves, labels, selection
 from gonio_analysis.fitting.objective import DESCRIPTIONS

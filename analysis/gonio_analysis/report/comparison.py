@@ -7,7 +7,7 @@ from functools import partial
 from gonio import shown
 from gonio.geometry import AT_MIRROR, IN_PLANE
 from gonio.lost import kept
-from gonio_analysis.changes import point_by_point
+from gonio_analysis.changes import sides
 from gonio_analysis.fitting.objective import BELOW, DESCRIPTIONS
 from gonio_analysis.report import across, across_words
 from gonio_analysis.report.blocks import stamp
@@ -51,9 +51,9 @@ def _comparison(datasets: Sequence[Dataset]) -> Comparison:
     return Comparison(*said, found, models if any(d.models for d in datasets) else None)
 
 
-def sides_of(datasets: Sequence[Dataset]) -> list[point_by_point.Side]:
+def sides_of(datasets: Sequence[Dataset]) -> list[sides.Side]:
     """Samples with all their wavelengths, for what compares them point by point."""
-    made = point_by_point.of_table
+    made = sides.of_table
     return [made(d.name, d.source, d.table, d.data.u_rel_assumed) for d in datasets]
 
 

@@ -12,7 +12,7 @@ from gonio.errors import ConfigError
 from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.consensus import METHODS, Consensus
 from gonio_analysis.changes.laboratories import LEVEL, LaboratoryComparison, LaboratoryVerdict, compared
-from gonio_analysis.changes.point_by_point import side
+from gonio_analysis.changes.sides import side
 from gonio_analysis.report import change_figures, files, frame
 from gonio_analysis.report.blocks import (
     Figures,

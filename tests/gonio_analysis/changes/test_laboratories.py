@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from gonio_analysis.changes import laboratories as comparison
 from gonio_analysis.changes.laboratories import LaboratoryComparison, LaboratoryVerdict
-from gonio_analysis.changes.point_by_point import of_table
+from gonio_analysis.changes.sides import of_table
 from gonio_analysis.report.change_figures import _on_overview
 from gonio_analysis.report.laboratories import names
 from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis import commands
-from gonio_analysis.changes import point_by_point
-from gonio_analysis.changes.point_by_point import Change, Side, change
+from gonio_analysis.changes import sides
+from gonio_analysis.changes.point_by_point import Change, change
 from gonio_analysis.changes.resampling import carry
+from gonio_analysis.changes.sides import Side
 from gonio_analysis.changes.verdict import judge, within
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.value_covariance import Covariance
@@ -335,10 +336,10 @@ def test_a_model_that_is_off_is_so_uncertain(tmp_path: Path) -> None:
     for residual in (False, True):
         file = tmp_path / f"{residual}.toml"
         commands.fit("cook-torrance", str(tmp_path / "t.csv"), save=file, residual=residual)
-        found[residual] = change(point_by_point.side(str(tmp_path / "t.csv")), point_by_point.side(str(file)))
+        found[residual] = change(sides.side(str(tmp_path / "t.csv")), sides.side(str(file)))
         assert any("is a model that is off" in note for note in found[residual].notes)
-    exact = replace(point_by_point.side(str(tmp_path / "False.toml")), misfit=0.0)
-    plain = change(point_by_point.side(str(tmp_path / "t.csv")), exact)
+    exact = replace(sides.side(str(tmp_path / "False.toml")), misfit=0.0)
+    plain = change(sides.side(str(tmp_path / "t.csv")), exact)
     chi = {
         name: one.verdict.chi_square / len(one.at) for name, one in (("exact", plain), *found.items()) if one.verdict
     }

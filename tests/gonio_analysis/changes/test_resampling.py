@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.spatial
-from gonio_analysis.changes.resampling import AT_ONCE, _located, _turns, carry, common_wavelengths, turned_in_plane
+from gonio_analysis.changes.interpolation import _located, _turns
+from gonio_analysis.changes.resampling import AT_ONCE, carry, common_wavelengths, turned_in_plane
 from gonio_analysis.fitting.observations import observations
 
 from gonio.formats import reader

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.changes.point_by_point import of_table
+from gonio_analysis.changes.sides import of_table
 from gonio_analysis.report import across_plot
 from gonio_analysis.report.across import across
 from gonio_analysis.report.across_words import brighter, details, verdict

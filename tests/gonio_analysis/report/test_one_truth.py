@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from gonio_analysis import commands
-from gonio_analysis.changes.point_by_point import Side, change
+from gonio_analysis.changes.point_by_point import change
+from gonio_analysis.changes.sides import Side
 from gonio_analysis.changes.verdict import judge
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.fitting.observations import observations

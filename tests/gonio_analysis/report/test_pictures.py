@@ -12,7 +12,8 @@ import pandas as pd
 import pytest
 from gonio_analysis import report
 from gonio_analysis.changes.laboratories import compared
-from gonio_analysis.changes.point_by_point import change, of_table
+from gonio_analysis.changes.point_by_point import change
+from gonio_analysis.changes.sides import of_table
 from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.plots import diagnostics, in_plane, maps, pixels, style
 from gonio_analysis.report import budget, change_figures, checks, drawing, health
