@@ -62,6 +62,13 @@ class Equivalence:
         """(K,) d_k / (2 u(d_k))."""
         return self.degrees / (2.0 * self.u)
 
+    @property
+    def relative(self) -> Equivalence:
+        """The same over the reference value."""
+        by = self.reference.value
+        reference = Consensus(*(part / by for part in self.reference))
+        return Equivalence(reference, self.method, self.consistent, self.degrees / by, self.u / by)
+
 
 def consensus(values: npt.ArrayLike, u: npt.ArrayLike, method: Method = "weighted") -> Consensus:
     """The consensus of several laboratories.

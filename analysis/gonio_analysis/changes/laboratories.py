@@ -161,13 +161,7 @@ def compared(
     say(f"comparing: {len(sides)} laboratories in {rows.size} common directions")
     at, first, solved, turned = _settled(sides, sides[base].measured.take(rows), first, keys)
     scales = equivalence(solved.scales, solved.v_scales, LEVEL / TESTS)
-    by = scales.reference.value
-    relative = replace(
-        scales,
-        reference=Consensus(*(part / by for part in scales.reference)),
-        degrees=scales.degrees / by,
-        u=scales.u / by,
-    )
+    by, relative = scales.reference.value, scales.relative
     alone, by_method, p_alone = _by_directions(first, keys, say)
     chi_square, p = consistency(solved.scales, solved.v_scales)
     return LaboratoryComparison(

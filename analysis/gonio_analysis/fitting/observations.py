@@ -321,16 +321,15 @@ def observations(
     if not keep.size:
         raise _none_left(name, len(table), omitted)
     some: Some = keep if keep.size < len(table) else slice(None)  # nothing is copied where all are used
-    covariance = None
-    if stated[keep].any():
-        covariance = known(some)
-        if u_rel is not None:
-            notes.append(f"The table states its own uncertainties; the assumed {100 * u_rel:g} % is not used.")
+    covariance = known(some) if stated[keep].any() else None
+    if covariance is not None and u_rel is not None:
+        notes.append(f"The table states its own uncertainties; the assumed {100 * u_rel:g} % is not used.")
+        u_rel = None
     elif u_rel is not None:
         apart = differences(table["polarisation"].to_numpy(object)[keep])
         covariance = independent(_assumed(brdf[keep], wavelength[keep], u_rel, apart))
         notes.append(ASSUMED.format(100 * u_rel))
-    elif not any("no uncertainties" in note for note in notes):
+    elif covariance is None and not any("no uncertainties" in note for note in notes):
         notes.append(UNSTATED)
     if TRANSMISSION in omitted:
         notes.append(f"{omitted[TRANSMISSION].size} rows are transmission: left out, models here describe reflection.")
@@ -348,7 +347,7 @@ def observations(
         omitted=omitted,
         unused=unused,
         notes=tuple(notes),
-        u_rel_assumed=None if stated[keep].any() else u_rel,
+        u_rel_assumed=u_rel,
         of_channels=is_joined(table),
         **_of_angles(table, keep),
         states=_states(table["polarisation"].to_numpy(object)[keep]),

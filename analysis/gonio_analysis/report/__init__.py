@@ -69,10 +69,10 @@ def make(
 
     Parameters
     ----------
-    specs
-        Tables, RUN folders, or `FILE:SAMPLE`.
+    specs, how
+        Tables, RUN folders, or `FILE:SAMPLE`; columns of the tables, where they need any.
     out
-        Folder of the report; an earlier report there is replaced.
+        Folder of the report, whose `index.html` is returned; an earlier report there is replaced.
     models, normalise, wavelength_nm, metric, u_rel, bound_energy, separate
         See `gonio_analysis.selection.compare.examine`.
     ior
@@ -83,17 +83,8 @@ def make(
         Address of a Dask scheduler to fit the samples on; by default several samples share the processors here.
     png
         Whether figures are written as PNG, too.
-    how
-        Columns of the tables, where they need any.
-    command
-        The command line, for the record.
-    progress
-        Called with a line before each step.
-
-    Returns
-    -------
-    Path
-        Where `index.html` is.
+    command, progress
+        The command line, for the record; called with a line before each step.
 
     Raises
     ------
@@ -103,29 +94,30 @@ def make(
         The page is there, and names parts that could not be made (`gonio.lost`).
     """
     check_models(models)
+    asked = partial(
+        examine, models=models, normalise=normalise, wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel,
+        bound_energy=bound_energy, separate=separate,
+    )  # fmt: skip
     with files.staged(out) as stage:
         found = [one for spec in specs for one in _read(spec, how)]
         tables = [table for _, _, table, _ in found]
         lost.kept("datacite.json", lambda: _cite(tables, stage.work, progress), lambda loss: None)
         through, found = _transmission_only(found, wavelength_nm, u_rel)
-        names = _distinct([sample for sample, *_ in found], [source for _, source, *_ in found])
-        told = {name: of_reader(one[2]) for name, one in zip(names, found, strict=True)}
+        samples = _told_apart(found)
+        told = {name: of_reader(table) for name, _, table, _ in samples}
         for note in said_once(told | {t.name: t.data.notes for t in through}):
             progress(note)
         taken, iors = _optical_constants(ior, found, progress)
         jobs = [
-            partial(
-                examine, table, models, name=name, source=source, run=run, normalise=normalise, ior=own,
-                wavelength_nm=wavelength_nm, metric=metric, u_rel=u_rel, bound_energy=bound_energy, separate=separate,
-            )
-            for name, own, (_, source, table, run) in zip(names, iors, found, strict=True)
-        ]  # fmt: skip
+            partial(asked, table, name=name, source=source, run=run, ior=own)
+            for own, (name, source, table, run) in zip(iors, samples, strict=True)
+        ]
         tried = max((len(candidates(models, own)) for own in iors), default=0)
         # the workers get ready while models are fitted
         with figure_workers(2 * len(jobs) * tried, modules=FITTING) as workers:
             workers.png = png
             datasets = _fitted(jobs, workers, dask, progress)
-            every = names + [t.name for t in through]
+            every = [d.name for d in datasets] + [t.name for t in through]
             title = " and ".join(every) if len(every) <= 2 else f"{len(every)} samples"
             summary = write(
                 datasets, stage.work, title=title, normalise=normalise, radius=radius, command=command,
@@ -220,12 +212,10 @@ def write(
     ----------
     datasets
         The measurements with their fitted models, in the order of the page.
-    title
-        Heading of the page.
+    title, command
+        Heading of the page; the command line, for the record.
     normalise, radius
         What was asked for the polar plots.
-    command
-        The command line, for the record.
     transmission_only
         Samples of which transmission alone was measured.
     workers
@@ -311,12 +301,12 @@ def _kept(what: str, name: str, draw: Callable[[], Sequence[Drawing]]) -> list[D
     return lost.kept(f"{what} of {name}", lambda: list(draw()), lambda loss: [])
 
 
-def _distinct(names: Sequence[str], sources: Sequence[str]) -> list[str]:
-    """Names of samples, told apart by their source (or a number) where two are alike."""
-    out: list[str] = []
-    for name, source in zip(names, sources, strict=True):
+def _told_apart(found: Sequence[Measured]) -> list[Measured]:
+    """The same with names that are told apart by their source (or a number) where two are alike."""
+    names, out = [sample for sample, *_ in found], list[str]()
+    for name, (_, source, *_) in zip(names, found, strict=True):
         if names.count(name) > 1:
             label = f"{name} ({source})"
             name = label if label not in out else f"{label}, {out.count(label) + 1}"
         out.append(name)
-    return out
+    return [(name, source, table, run) for name, (_, source, table, run) in zip(out, found, strict=True)]

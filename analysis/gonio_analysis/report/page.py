@@ -164,13 +164,7 @@ def render(
         html.within(sample.section(summary, *parts), max(room, MOST_BYTES // 4))
         for parts in zip(datasets, drawn[: len(datasets)], views, strict=True)
     ]
-    groups, used = [list[int]()], 0
-    for k, one in enumerate(sections):
-        needed = html.size(html.fragment([one])) if several else 0
-        if groups[-1] and used + needed > room:
-            groups, used = [*groups, []], 0
-        groups[-1].append(k)
-        used += needed
+    groups = _grouped([html.size(html.fragment([one])) if several else 0 for one in sections], room)
     names = ["index.html", *(f"samples-{k}.html" for k in range(2, len(groups) + 1))]
     place = {datasets[k].slug: name for name, group in zip(names, groups, strict=True) for k in group}
     pages = {}
@@ -181,6 +175,17 @@ def render(
         blocks += [sections[k] for k in group]
         pages[name] = Page(title, (*blocks, *(last if first else ()), FOOTER))
     return pages
+
+
+def _grouped(sizes: Sequence[int], room: int) -> list[list[int]]:
+    """What stands on one page: as many in a row as have room there."""
+    groups, used = [list[int]()], 0
+    for k, needed in enumerate(sizes):
+        if groups[-1] and used + needed > room:
+            groups, used = [*groups, []], 0
+        groups[-1].append(k)
+        used += needed
+    return groups
 
 
 def slugs_of_transmission(s: Summary) -> list[str]:

@@ -178,6 +178,11 @@ class Dataset:
     run: RunFacts | None
     """What the run's own record says, for a table that a run made."""
 
+    @property
+    def fitted(self) -> dict[str, FittedModel]:
+        """`models`, as earlier versions called them."""
+        return self.models
+
     @cached_property
     def curves(self) -> list[Curve]:
         """The in-plane curves that are drawn."""
