@@ -36,7 +36,7 @@ MOST_REASONS = 12
 VALUES = ("wavelength_nm", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf", "u_brdf")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DatasetSummary(Dataset):
     """One measured sample with its fits, and what its part of the page and `summary.json` say of it."""
 
