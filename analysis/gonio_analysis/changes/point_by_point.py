@@ -26,7 +26,8 @@ from gonio.geometry import SAME_ANGLE, Directions
 from gonio.models.corrected import Corrected, folded
 from gonio.progress import Say, silent
 from gonio.typing import Floats
-from gonio_analysis.changes.resampling import Carried, Interpolations, carry, common_wavelengths, slope_in_plane
+from gonio_analysis.changes.interpolation import Interpolations
+from gonio_analysis.changes.resampling import Carried, carry, common_wavelengths, slope_in_plane
 from gonio_analysis.changes.sides import Compared, Side, require_alike
 from gonio_analysis.changes.verdict import Verdict, Within, judge, within
 from gonio_analysis.fitting.forward import apparent
