@@ -28,8 +28,7 @@ SIZE_IN = (5.6, 3.9)
 
 def _of(d: Dataset) -> FittedModel | None:
     """The model that is put first, where it was fitted to all three channels."""
-    best = d.choice.best
-    f = d.fitted.get("" if best is None else best.candidate.label) or next(iter(d.fitted.values()), None)
+    f = d.models.get(d.best or "")
     return f if f is not None and d.data.of_channels and len(f.series) == len(RGB_NM) else None
 
 
