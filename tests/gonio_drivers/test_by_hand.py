@@ -452,7 +452,7 @@ def test_a_port_that_went_away_is_not_said_to_have_stopped(twins: Twins) -> None
 
 def test_the_same_from_python(twins: Twins, tmp_path: Path) -> None:
     with gonio.open_rig(str(written(twins, tmp_path))) as rig:
-        assert isinstance(rig._rig, LabRig)
+        assert isinstance(rig.rig, LabRig)
         moved = rig.move(theta_i=math.radians(20), theta_r=math.radians(40))
         assert math.degrees(moved.landed["camera"]) == pytest.approx(-40, abs=LANDED_DEG)
         rig.lamp(0.5, wavelength_nm=500)
