@@ -8,6 +8,7 @@ import numpy as np
 from gonio import colour, geometry
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import ANGLES
+from gonio.spectra import CHANNELS_NM
 from gonio.typing import DataFrame, Floats
 
 COLOURS = ("red", "green", "blue")
@@ -47,48 +48,86 @@ def rows(table: DataFrame, name: str, *, wavelength_nm: float | None = None) -> 
     DataError
         Nothing is left, it holds several samples, or its wavelengths make no colour.
     """
-    notes = []
-    samples = table["sample"].unique().tolist() if "sample" in table.columns else []
-    parts = {str(s).rpartition(" ")[2]: table[table["sample"] == s] for s in samples}
-    if samples and (set(parts) != set(COLOURS) or len(samples) != 3):
-        raise DataError(f"{name}: holds several samples; name one as FILE:SAMPLE: {'; '.join(map(str, samples))}")
-    key = list(ANGLES)
-    usable = (table["flag"] == "") & (table["polarisation"] == "unpolarised") & np.isfinite(table["brdf"])
-    usable &= (table["theta_i_deg"] < 90) & (table["theta_r_deg"] < 90)
-    left_out = len(table) - int(usable.sum())
-    frame = table[usable]
-    if left_out:
-        notes.append(f"{left_out} rows are left out: flagged, polarised, at the horizon or in transmission")
-    if frame.empty:
-        raise DataError(f"{name}: no row of the table can be used: all are flagged, polarised or in transmission")
-    waves = np.unique(frame["wavelength_nm"].to_numpy(np.float64))
-    waves = waves[np.isfinite(waves)]
+    frame, notes, in_colours = _usable(table, name)
+    waves = _wavelengths(frame)
     if wavelength_nm is not None:
         near = waves[np.abs(waves - wavelength_nm) < 0.5]
-        if samples or not near.size:
+        if in_colours or not near.size:
             known = ", ".join(f"{w:g}" for w in waves) or "none"
             raise ConfigError(f"--wavelength-nm {wavelength_nm:g}: {name} has {known}")
         frame, waves = frame[frame["wavelength_nm"] == near[0]], near[:1]
-    if samples:
-        frame = frame.assign(channel=frame["sample"].str.rpartition(" ")[2])
-        wide = frame.pivot_table(index=key, columns="channel", values="brdf", sort=False)[list(COLOURS)]
+    if in_colours:
+        wide = _of_colours(frame)
         notes.append("the samples red, green and blue are the three channels, as they stand in the file")
         return _rows(name, wide, wide.to_numpy(), notes)
-    wide = frame.assign(wavelength_nm=frame["wavelength_nm"].fillna(0.0)).pivot_table(
-        index=key, columns="wavelength_nm", values="brdf", sort=False
-    )
+    wide = _of_wavelengths(frame)
     if wide.shape[1] == 1:
         notes.append(f"grey: {f'{waves[0]:g} nm' if waves.size else 'one band'} stands for all three channels")
         return _rows(name, wide, wide.to_numpy(), notes)
     return _in_colour(name, wide, waves, notes)
 
 
-def _in_colour(name: str, wide: DataFrame, waves: Floats, notes: list[str]) -> Rows:
-    """Directions that were measured at several wavelengths, a column each, in linear sRGB."""
+def spectral(table: DataFrame, name: str) -> tuple[Rows, Floats]:
+    """The unflagged, unpolarised reflection of a table with a channel a wavelength, and the wavelengths [nm].
+
+    They grow; samples named red, green and blue are at their nominal wavelengths, and one broad band is at none.
+    Parameters and errors are those of `rows`.
+    """
+    frame, notes, in_colours = _usable(table, name)
+    wide = _of_colours(frame)[["blue", "green", "red"]] if in_colours else _of_wavelengths(frame)
+    waves = np.array(CHANNELS_NM) if in_colours else wide.columns.to_numpy(np.float64)
+    wide = _at_all(wide, notes)
+    if len(wide) == 0:
+        raise DataError(f"{name}: no direction was measured at every wavelength")
+    return _rows(name, wide, wide.to_numpy(), notes), waves[waves > 0.0]
+
+
+def _usable(table: DataFrame, name: str) -> tuple[DataFrame, list[str], bool]:
+    """The rows that count, what is said of them, and whether they are three samples named as colours."""
+    notes = []
+    samples = table["sample"].unique().tolist() if "sample" in table.columns else []
+    parts = {str(s).rpartition(" ")[2]: table[table["sample"] == s] for s in samples}
+    if samples and (set(parts) != set(COLOURS) or len(samples) != 3):
+        raise DataError(f"{name}: holds several samples; name one as FILE:SAMPLE: {'; '.join(map(str, samples))}")
+    usable = (table["flag"] == "") & (table["polarisation"] == "unpolarised") & np.isfinite(table["brdf"])
+    usable &= (table["theta_i_deg"] < 90) & (table["theta_r_deg"] < 90)
+    left_out = len(table) - int(usable.sum())
+    if left_out:
+        notes.append(f"{left_out} rows are left out: flagged, polarised, at the horizon or in transmission")
+    if not usable.any():
+        raise DataError(f"{name}: no row of the table can be used: all are flagged, polarised or in transmission")
+    return table[usable], notes, bool(samples)
+
+
+def _wavelengths(frame: DataFrame) -> Floats:
+    waves = np.unique(frame["wavelength_nm"].to_numpy(np.float64))
+    return np.asarray(waves[np.isfinite(waves)])
+
+
+def _of_colours(frame: DataFrame) -> DataFrame:
+    """A row a direction, and a column a colour."""
+    frame = frame.assign(channel=frame["sample"].str.rpartition(" ")[2])
+    return frame.pivot_table(index=list(ANGLES), columns="channel", values="brdf", sort=False)[list(COLOURS)]
+
+
+def _of_wavelengths(frame: DataFrame) -> DataFrame:
+    """A row a direction, and a column a wavelength; 0 where none is told."""
+    frame = frame.assign(wavelength_nm=frame["wavelength_nm"].fillna(0.0))
+    wide = frame.pivot_table(index=list(ANGLES), columns="wavelength_nm", values="brdf", sort=False)
+    return wide.sort_index(axis=1)
+
+
+def _at_all(wide: DataFrame, notes: list[str]) -> DataFrame:
+    """The directions that were measured at every wavelength; a note counts the others."""
     whole = wide.notna().all(axis=1)
-    wide = wide[whole]
     if not whole.all():
         notes.append(f"{int((~whole).sum())} directions are left out, which were not measured at every wavelength")
+    return wide[whole]
+
+
+def _in_colour(name: str, wide: DataFrame, waves: Floats, notes: list[str]) -> Rows:
+    """Directions that were measured at several wavelengths, a column each, in linear sRGB."""
+    wide = _at_all(wide, notes)
     nm = wide.columns.to_numpy(np.float64)
     if len(wide) == 0 or (nm == 0).any() or ((nm > 380) & (nm < 730)).sum() < 3:
         raise DataError(

@@ -120,24 +120,26 @@ class Interpolated:
         """Whether the table has in-plane values alone."""
         return all(s.triangles is None for s in self.slices)
 
-    def reflectance(self, theta_i: Floats) -> Floats:
-        """rho_dh (incidences, channels): the light from each direction that the interpolated table reflects.
+    def reflectance(self, theta: Floats, *, viewer: bool = False, nodes: tuple[int, int] = (400, 90)) -> Floats:
+        """rho_dh (directions, channels): the light from each direction that the interpolated table reflects.
 
-        The integral runs over half vectors, close together about the mirror direction.
+        With `viewer` it is rho_hd, for directions of the detector. The integral runs over half vectors, close together
+        about the mirror direction: `nodes` polar angles and azimuths.
         """
-        side = (np.arange(400) + 0.5) / 400
-        azimuth = np.pi * (np.arange(90) + 0.5) / 90
+        side = (np.arange(nodes[0]) + 0.5) / nodes[0]
+        azimuth = np.pi * (np.arange(nodes[1]) + 0.5) / nodes[1]
         theta_h, phi_h = (a.ravel() for a in np.meshgrid(np.pi / 2 * side**2, azimuth, indexing="ij"))
         cell = np.repeat(np.pi * side / side.size, azimuth.size) * (2 * np.pi / azimuth.size) * np.sin(theta_h)
         half = geometry.direction(theta_h, phi_h)
-        out = np.zeros((theta_i.size, self.channels))
-        for row, theta in zip(out, theta_i.tolist(), strict=True):
-            incident = geometry.direction(theta, 0.0)
-            cosine = half @ incident
-            outgoing = 2 * cosine[:, np.newaxis] * half - incident
-            above = (outgoing[:, 2] > 0) & (cosine > 0)
-            values = self.brdf(np.broadcast_to(incident, outgoing[above].shape), outgoing[above])
-            row[:] = (values * (4 * cosine * outgoing[:, 2] * cell)[above, np.newaxis]).sum(axis=0)
+        out = np.zeros((theta.size, self.channels))
+        for row, angle in zip(out, theta.tolist(), strict=True):
+            given = geometry.direction(angle, 0.0)
+            cosine = half @ given
+            other = 2 * cosine[:, np.newaxis] * half - given
+            above = (other[:, 2] > 0) & (cosine > 0)
+            pair = np.broadcast_to(given, other[above].shape), other[above]
+            values = self.brdf(*(pair[::-1] if viewer else pair))
+            row[:] = (values * (4 * cosine * other[:, 2] * cell)[above, np.newaxis]).sum(axis=0)
         return out
 
     def unresolved(self) -> Floats:

@@ -35,6 +35,9 @@ def render(
     with console.counter("rendering") as step:
         result = rendered(described, step=step)
     picture.write(described, result, out, exr=exr, command=command_line())
+    for material, share in result.extrapolated.items():
+        told = "no lamp lights it" if share is None else f"{share:.0%} of its light is extrapolated"
+        console.note(f"material.{material}: a measured table, {told}; summary.json says how")
     if result.above_tolerance:
         console.note(f"{result.above_tolerance} pixels are above the tolerance still; summary.json says how far")
     print(out / "picture.png")

@@ -1,5 +1,6 @@
 """What a shape is made of: a model, whose parameters may be spectra, and textures by which they change over it."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +9,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from gonio import models
+from gonio import measurement, models
 from gonio.config import Strict
 from gonio.errors import ConfigError, GonioError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum
 from gonio.models.parameters import Parameters, index_at
+from gonio.renderers import tabulated
+from gonio.renderers.tabulated import Tabulated
+from gonio.samples.files import load_sample
 from gonio.samples.textures import PATTERNS, picture
 from gonio.spectra import Spectrum, at_wavelength, spectra_in
 from gonio.typing import Floats
@@ -68,7 +72,10 @@ class Texture(Strict):
 class MaterialTable(Strict):
     """A table [material.NAME] of a scene file: as a sample file, and textures by the name of a parameter."""
 
-    model: str
+    model: str | None = None
+    file: str | None = None
+    """Instead of model and parameters: a sample file, or a measured table (a run, a file of any format, FILE:SAMPLE),
+    beside the scene file."""
     parameters: Parameters = Field(default_factory=dict)
     """The model's arguments. A number may be a spectrum (`gonio.spectra`)."""
     textures: dict[str, Texture] = Field(default_factory=dict)
@@ -78,6 +85,30 @@ class MaterialTable(Strict):
     ] = None
     """What ambient light is multiplied by, in place of rho_hd: a number, a table, or "normal", the reflectance of a
     smooth surface at normal incidence (Cook and Torrance's R_a = pi R_d with R_d = F_0/pi)."""
+
+    @model_validator(mode="after")
+    def _one(self) -> "MaterialTable":
+        if (self.file is None) == (self.model is None) or (self.file is not None and self.parameters):
+            raise ValueError("a material needs either model and parameters, or file, which holds both")
+        return self
+
+    def resolved(self, folder: Path, where: str) -> "tuple[MaterialTable, Tabulated | None]":
+        """The table with what its file says, and the measured table where that is one; raises `ConfigError`."""
+        if self.file is None:
+            return self, None
+        told = f'{where}.file = "{self.file}"'
+        path = folder / self.file
+        try:
+            if path.suffix == ".toml":
+                sample = load_sample(path, uniform=True)
+                return self.model_copy(update={"model": sample.model, "parameters": sample.parameters}), None
+            if self.textures:
+                raise ConfigError("a measured table has no parameters, and textures change one: leave them out")
+            return self, tabulated.read(path)
+        except GonioError as error:
+            if not Path(measurement.split(path)[0]).exists():
+                raise ConfigError(f"{told}: there is no such file or run; it lies beside the scene file") from None
+            raise ConfigError(f"{told}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -110,7 +141,7 @@ class SceneMaterial:
     """
 
     def __init__(self, table: MaterialTable, wavelength_nm: Floats, folder: Path, where: str) -> None:
-        self._table = table
+        self._table, self.tabulated = table.resolved(folder, where)
         self._waves = wavelength_nm
         self._where = where
         self._levels: dict[tuple[float, ...], _Level] = {}
@@ -121,6 +152,9 @@ class SceneMaterial:
         first = self._level((0.0,) * len(self._textures))
         up = np.array([[0.0, 0.0, 1.0]])
         try:  # an index of refraction is looked up at every wavelength: now, and not after minutes of rendering
+            if self.tabulated is not None:
+                self.tabulated.require(float(wavelength_nm[0]))
+                self.tabulated.require(float(wavelength_nm[-1]))
             self.untextured(up, up)
         except GonioError as error:
             raise ConfigError(f"{where}: {error}") from None
@@ -178,6 +212,14 @@ class SceneMaterial:
             return np.broadcast_to(self._given(given), (omega_r.shape[0], self._waves.size))
         return self._by_level(uv, lambda level, here: self._rho_hd(level, omega_r[here]))
 
+    def measured_alone(self) -> "SceneMaterial":
+        """A measured table with 0 wherever it would be extrapolated; another material as it is."""
+        if self.tabulated is None:
+            return self
+        made = copy.copy(self)
+        made._levels = {(): _Level((self.tabulated.measured_alone(),), self.constant)}
+        return made
+
     # --- levels of textures -----------------------------------------------------------------------------------------
 
     def _by_level(self, uv: Floats, evaluate: Any) -> Floats:
@@ -204,6 +246,8 @@ class SceneMaterial:
         return self._levels[level]
 
     def _made(self, level: tuple[float, ...]) -> _Level:
+        if self.tabulated is not None:
+            return _Level((self.tabulated,), self.tabulated.constant)
         spectral = bool(spectra_in(self._table.parameters, f"{self._where}.parameters")) or any(
             isinstance(end, Spectrum)
             for texture in self._table.textures.values()
@@ -216,6 +260,7 @@ class SceneMaterial:
 
     def _built(self, level: tuple[float, ...], wavelength_nm: float) -> Model:
         """The model at a wavelength, where the textures have certain values."""
+        assert self._table.model is not None
         where = f"{self._where} with model = {self._table.model!r}"
         try:
             parameters = at_wavelength(self._table.parameters, wavelength_nm, f"{self._where}.parameters")

@@ -250,6 +250,7 @@ class _Writer:
     def _say_of_material(self, where: str, material: SceneMaterial, plugin: str) -> None:
         text = f"interpolated between {self.incidences} incidences and {self.nodes} x {self.nodes} half vectors"
         metal = plugin == "conductor"
+        told = ["; ".join(material.tabulated.remarks)] if material.tabulated is not None else []
         self._say(
             (material.textured, f"{where}.textures", "the parameters are those where every texture is 0"),
             (metal, f"{where}: other shapes in its mirror", "Mitsuba's direct integrator shows lights in it alone"),
@@ -259,6 +260,7 @@ class _Writer:
                 "a file of slices has no room for it; lobe and diffuse part are there",
             ),
             (plugin == "measured", f"{where}: its formula", f"{text}; negative values are 0"),
+            *((True, f"{where}: what was not measured", remark) for remark in told),
         )
 
     def _say_of_scene(self) -> None:

@@ -21,7 +21,7 @@ from gonio.typing import Floats, JsonObject, NDArray
 from gonio_scenes.camera import expose
 from gonio_scenes.lights import DiscLight, relative_power
 from gonio_scenes.render import Picture
-from gonio_scenes.scene import Scene
+from gonio_scenes.scene import Scene, tables
 
 Image = NDArray[np.uint8]
 WHITE_SHARE = 0.99
@@ -288,6 +288,11 @@ def summary(scene: Scene, picture: Picture, white: float, command: str) -> JsonO
         "white": white,
         "left_out": left_out(scene),
     }
+    if measured := tables(scene):
+        out["tables"] = {
+            name: {"extrapolated_share": picture.extrapolated[name], "remarks": list(one.remarks)}
+            for name, one in measured.items()
+        }
     if picture.error is not None:
         known = picture.error[np.isfinite(picture.error)]
         out["standard_error"] = {

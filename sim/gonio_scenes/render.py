@@ -3,7 +3,7 @@
 import itertools
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -12,7 +12,7 @@ import numpy as np
 from gonio.errors import ConfigError
 from gonio.typing import Floats, NDArray
 from gonio_scenes.integrator import Integrator
-from gonio_scenes.scene import Scene
+from gonio_scenes.scene import Scene, tables
 from gonio_scenes.world import Hits
 
 BLOCK = 1 << 16
@@ -57,6 +57,28 @@ class Picture:
         """What the rays through the pixels' centres meet, some rows of pixels after the other; traced anew."""
         for pixel in _blocks(self.scene, FEWER):
             yield self.scene.world.hit(*self.scene.camera.rays(pixel, 0, None))
+
+    @cached_property
+    def extrapolated(self) -> dict[str, float | None]:
+        """By the name of a material that is a measured table: the share of its light that is extrapolated.
+
+        Of the pixels whose centre sees the material, the light of lamps by rays through these centres, over all
+        wavelengths; ambient light is not counted. None where no lamp lights it.
+        """
+        scene = replace(self.scene, ambient=None)
+        names = np.array([shape.material for shape in scene.tables.shape])
+        whole, measured = (dict.fromkeys(tables(scene), 0.0) for _ in range(2))
+        if not whole:
+            return {}
+        known = replace(scene, material=tuple(material.measured_alone() for material in scene.material))
+        for pixel in _blocks(scene, FEWER):
+            rays = scene.camera.rays(pixel, 0, None)
+            for light, of in ((whole, scene), (measured, known)):
+                radiance, hits = Integrator(of).radiance(*rays, None)
+                for name in light:
+                    here = (hits.shape >= 0) & (names[hits.shape] == name)
+                    light[name] += float(radiance[here].sum())
+        return {name: 1.0 - measured[name] / light if light else None for name, light in whole.items()}
 
     @cached_property
     def shape(self) -> NDArray[np.int64]:

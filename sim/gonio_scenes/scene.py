@@ -13,6 +13,7 @@ from gonio.errors import ConfigError, DataError, did_you_mean
 from gonio.lab.acquisition.measure import find_rig
 from gonio.lab.rig.description import RigDescription
 from gonio.models import examine
+from gonio.renderers.tabulated import Tabulated
 from gonio.spectra import CHANNELS_NM, Wavelength
 from gonio.typing import Floats
 from gonio_scenes import camera as cameras
@@ -198,6 +199,12 @@ def too_bright(scene: Scene) -> list[str]:
     waves = {0, len(scene.wavelength_nm) - 1}
     found = [examine(one.at(k), float(scene.wavelength_nm[k])) for one in scene.material for k in sorted(waves)]
     return [one.too_bright for one in found if one.too_bright]
+
+
+def tables(scene: Scene) -> dict[str, Tabulated]:
+    """The materials that are measured tables, by name."""
+    named = zip(scene.tables.shape, scene.material, strict=True)
+    return {table.material: one.tabulated for table, one in named if one.tabulated is not None}
 
 
 def read(path: str | Path) -> Scene:
