@@ -106,11 +106,16 @@ def run_facts(path: Path) -> RunFacts | None:
 
 
 def _given(sample: SampleDescription) -> JsonObject:
-    """The parameters; of those that change over the sample, from where to where."""
+    """The parameters; of those that change over the sample, from where to where; of regions, their own."""
     changing = {
         name: f"{one.low:g} to {one.high:g} ({one.pattern or 'picture'})" for name, one in sample.texture.items()
     }
-    return sample.parameters | changing
+    regions = {
+        f"region {k}": f"{one.name}, {one.model} of "
+        + ", ".join(f"{name} {value}" for name, value in _given(one).items())
+        for k, one in enumerate(sample.materials()[1:], 1)
+    }
+    return sample.parameters | changing | regions
 
 
 def _reference(folder: Path, reference: Reference) -> str:

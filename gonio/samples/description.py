@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gonio.config import NonNegative, Positive, Strict, numbers_in, with_numbers
+from gonio.samples.regions import MOST, Numbers, SampleMask, SampleRegion, areas
 from gonio.samples.textures import SampleTexture
 from gonio.typing import Floats, TomlTable
 
@@ -59,6 +60,10 @@ class SampleDescription(Strict):
     parameters: TomlTable = Field(default_factory=dict)
     texture: dict[str, SampleTexture] = Field(default_factory=dict)
     """By the name of a number in [parameters]: how it changes over the sample."""
+    region: tuple[SampleRegion, ...] = ()
+    """Areas of other materials; the rest is of the model above."""
+    mask: SampleMask | None = None
+    """The picture whose values regions name."""
     diameter_mm: Positive | None = None
     integrate_band: bool = False
     """Render the integral over the band instead of the value at its centre."""
@@ -80,7 +85,32 @@ class SampleDescription(Strict):
                     f'texture: there is no number "{name}" in [parameters], which a texture needs; there are'
                     f" {', '.join(known) or 'none'}"
                 )
+        if len(self.region) > MOST:
+            raise ValueError(f"region: {len(self.region)} regions; a sample has {MOST} at most")
+        if (self.mask is None) != all(one.mask is None for one in self.region):
+            raise ValueError("the table [mask], and a [[region]] with mask = VALUE, go together")
         return self
+
+    def materials(self) -> tuple[SampleDescription, ...]:
+        """The sample without its regions, and the material of each region: what `region_at` numbers."""
+        rest = self.model_copy(update={"region": (), "mask": None})
+        own = (
+            SampleDescription(
+                name=one.name or f"region {number}", model=one.model, parameters=one.parameters, texture=one.texture
+            )
+            for number, one in enumerate(self.region, 1)
+        )
+        return rest, *own
+
+    def region_at(self, x_mm: Floats, y_mm: Floats) -> Numbers:
+        """The number of the region at places on the sample [mm], arrays of one shape: 0 for none, else from 1.
+
+        Raises
+        ------
+        ConfigError, DataError
+            The mask's picture is not there, is none, or has changed since the sample file was read.
+        """
+        return areas(self.region, self.mask, f'sample "{self.name}", ')(x_mm, y_mm)
 
     def parameters_at(self, shares: dict[str, float]) -> TomlTable:
         """The parameters where textures have certain shares of their `high`, by name."""

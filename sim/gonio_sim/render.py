@@ -28,7 +28,7 @@ from gonio.samples.description import SampleDescription
 from gonio.typing import Bools, DataFrame, Floats, NDArray
 from gonio_sim import polarised
 from gonio_sim.adaptive_grid import Function, electrons_per_s, sample_function
-from gonio_sim.textures import Textures, Whole
+from gonio_sim.textures import Plate, Textures, Whole
 from gonio_sim.world import InHolder, World
 
 Floats32 = NDArray[np.float32]
@@ -83,7 +83,7 @@ class Renderer:
     def __init__(self, world: World) -> None:
         self._world = world
         self._model = _build(world.sample) if world.sample is not None else None
-        self._textures = Textures(world.sample) if world.sample is not None and world.sample.texture else None
+        self._textures = _changing(world.sample) if world.sample is not None else None
         lamp, camera = world.truth.lamp, world.truth.camera
         self._cones = {
             "source_solid_angle_sr": float(geometry.solid_angle_of_cone(math.radians(lamp.half_angle_deg))),
@@ -278,8 +278,8 @@ class Renderer:
 
         return lobes
 
-    def _textured(self, textures: Textures, waves: list[tuple[float, float]]) -> Painter:
-        """The sample with textures: as one model, level by level of these."""
+    def _textured(self, textures: Textures | Plate, waves: list[tuple[float, float]]) -> Painter:
+        """The sample with textures or regions: as one model, level by level of these."""
         radius = self._radius
 
         def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
@@ -405,6 +405,11 @@ def _wavelengths(band: Band) -> list[tuple[float, float]]:
     sigma = band.fwhm_nm / (2.0 * math.sqrt(2.0 * math.log(2.0)))
     shares = weights / math.sqrt(math.pi)
     return [(band.centre_nm + math.sqrt(2.0) * sigma * float(t), float(w)) for t, w in zip(at, shares, strict=True)]
+
+
+def _changing(sample: SampleDescription) -> Textures | Plate | None:
+    """What changes over the sample; None where nothing does."""
+    return Plate(sample) if sample.region else Textures(sample) if sample.texture else None
 
 
 def _build(sample: SampleDescription) -> models.Model:

@@ -26,6 +26,7 @@ from gonio import models
 from gonio.errors import ConfigError
 from gonio.lab.rig.imaging import PixelMap
 from gonio.samples.description import SampleDescription
+from gonio.samples.regions import areas
 from gonio.typing import Bools, Floats, NDArray
 from gonio_sim.adaptive_grid import DARK, FLOOR, TOLERANCE
 
@@ -65,13 +66,14 @@ class Textures:
         A picture cannot be read, or a model does not take a value.
     """
 
-    def __init__(self, sample: SampleDescription) -> None:
+    def __init__(self, sample: SampleDescription, *, steps: bool = False) -> None:
+        """With `steps` pixels have `SPOTS`, whether the textures have steps or not."""
         self._sample = sample
         where = f'sample "{sample.name}", texture'
         self._names = list(sample.texture)
         self._loaded = [sample.texture[name].load(f"{where}.{name}") for name in self._names]
         self._of_few = [one.occurring is not None and len(one.occurring) < MOST for one in self._loaded]
-        self._spots = FEW_SPOTS if all(one.occurring is None for one in self._loaded) else SPOTS
+        self._spots = SPOTS if steps or any(one.occurring is not None for one in self._loaded) else FEW_SPOTS
         self._model = lru_cache(maxsize=MOST_TOGETHER)(self._built)
         self._model((0.0,) * len(self._names))
         self._model((1.0,) * len(self._names))
@@ -85,8 +87,13 @@ class Textures:
             told = ", ".join(f"{name} at {share:g}" for name, share in values.items())
             raise ConfigError(f'sample "{self._sample.name}", [texture] with {told}: {error}') from error
 
-    def parts(self, seen: PixelMap, covered: Bools, probe: Probe) -> Iterator[TextureLevel]:
-        """Level by level, the pixels that see it; `probe` tells how close levels must be in this view."""
+    def parts(
+        self, seen: PixelMap, covered: Bools, probe: Probe, inside: Bools | None = None
+    ) -> Iterator[TextureLevel]:
+        """Level by level, the pixels that see it; `probe` tells how close levels must be in this view.
+
+        `inside` says which spots of the covered pixels count, (pixels, spots); without it all do.
+        """
         levels = self._levels(probe)
         total = math.prod(map(len, levels))
         if total > MOST_TOGETHER:
@@ -95,11 +102,14 @@ class Textures:
                 "are rendered: let fewer of them be gradients or pictures of many shades"
             )
         rows, cols = np.nonzero(covered)
-        x, y = self._places(seen, rows, cols)
+        x, y = places(seen, rows, cols, self._spots)
         of_spot = 4 ** self._of_few.count(False)
         step = max(1, AT_ONCE // max(total, self._spots[0] * of_spot))
         weights = sparse.vstack(
-            [self._weights(levels, x(k, k + step), y(k, k + step)) for k in range(0, len(rows), step)]
+            [
+                self._weights(levels, x(k, k + step), y(k, k + step), None if inside is None else inside[k : k + step])
+                for k in range(0, len(rows), step)
+            ]
             or [sparse.csr_array((0, total))]
         ).tocsc()
         for level, shares in enumerate(product(*levels)):
@@ -108,29 +118,10 @@ class Textures:
                 at = weights.indices[here]
                 yield TextureLevel(self._model(tuple(map(float, shares))), rows[at], cols[at], weights.data[here])
 
-    def _places(self, seen: PixelMap, rows: Whole, cols: Whole) -> list[Callable[[int, int], Floats]]:
-        """x and y [mm] of the spots of pixels from one number up to another, (pixels, spots)."""
-        count, turn = self._spots
-        down, across = (((step * np.arange(count)) % count + 0.5) / count - 0.5 for step in (1, turn))
-
-        def of(whole: Floats) -> Callable[[int, int], Floats]:
-            per_row, per_col = (np.nan_to_num(np.gradient(whole, axis=axis)[rows, cols]) for axis in (0, 1))
-            middle = whole[rows, cols]
-
-            def spots(first: int, end: int) -> Floats:
-                these = slice(first, end)
-                return np.asarray(
-                    middle[these, None] + per_row[these, None] * down + per_col[these, None] * across, dtype=float
-                )
-
-            return spots
-
-        return [of(seen.x_mm), of(seen.y_mm)]
-
-    def _weights(self, levels: list[Floats], x: Floats, y: Floats) -> sparse.csr_array:
+    def _weights(self, levels: list[Floats], x: Floats, y: Floats, inside: Bools | None) -> sparse.csr_array:
         """Weight of each level in each pixel (pixels, levels), from its spots (pixels, spots)."""
         place = np.zeros((*x.shape, 1), dtype=np.int64)
-        weight = np.ones(place.shape)
+        weight = np.ones(place.shape) if inside is None else inside[..., None].astype(np.float64)
         for one, of_few, own in zip(self._loaded, self._of_few, levels, strict=True):
             value = one.shares(x, y)
             if of_few:
@@ -162,6 +153,56 @@ class Textures:
 
             out.append(_enough(at))
         return out
+
+
+class Plate:
+    """A sample of several materials by area, each with textures of its own.
+
+    Raises
+    ------
+    ConfigError, DataError
+        A picture cannot be read, or a model does not take a value.
+    """
+
+    def __init__(self, sample: SampleDescription) -> None:
+        self._region_at = areas(sample.region, sample.mask, f'sample "{sample.name}", ')
+        self._materials = [Textures(one, steps=True) for one in sample.materials()]
+
+    def parts(self, seen: PixelMap, covered: Bools, probe: Probe) -> Iterator[TextureLevel]:
+        """As `Textures.parts`, material by material: an edge divides a pixel by its spots on both sides."""
+        rows, cols = np.nonzero(covered)
+        x, y = places(seen, rows, cols, SPOTS)
+        step = AT_ONCE // SPOTS[0]
+        numbers = np.concatenate(
+            [self._region_at(x(k, k + step), y(k, k + step)) for k in range(0, len(rows), step)]
+            or [np.zeros((0, SPOTS[0]), np.int8)]
+        )
+        for number, material in enumerate(self._materials):
+            inside = numbers == number
+            here = np.flatnonzero(inside.any(axis=1))
+            own = np.zeros_like(covered)
+            own[rows[here], cols[here]] = True
+            yield from material.parts(seen, own, probe, inside[here])
+
+
+def places(seen: PixelMap, rows: Whole, cols: Whole, lattice: tuple[int, int]) -> list[Callable[[int, int], Floats]]:
+    """x and y [mm] of the spots of pixels from one number up to another, (pixels, spots)."""
+    count, turn = lattice
+    down, across = (((step * np.arange(count)) % count + 0.5) / count - 0.5 for step in (1, turn))
+
+    def of(whole: Floats) -> Callable[[int, int], Floats]:
+        per_row, per_col = (np.nan_to_num(np.gradient(whole, axis=axis)[rows, cols]) for axis in (0, 1))
+        middle = whole[rows, cols]
+
+        def spots(first: int, end: int) -> Floats:
+            these = slice(first, end)
+            return np.asarray(
+                middle[these, None] + per_row[these, None] * down + per_col[these, None] * across, dtype=float
+            )
+
+        return spots
+
+    return [of(seen.x_mm), of(seen.y_mm)]
 
 
 def _enough(at: Callable[[float], Floats]) -> Floats:
