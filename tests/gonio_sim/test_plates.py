@@ -134,7 +134,7 @@ def test_a_mask_may_be_in_colour(tmp_path: Path) -> None:
     )
     assert what.region_at(np.array([-0.5, 0.5, 1.5]), np.zeros(3)).tolist() == [1, 2, 0]
     picture(tmp_path, np.array([[1, 2]], np.uint8))
-    with pytest.raises(GonioError, match="mask.file = .*has changed since the sample file was read"):
+    with pytest.raises(GonioError, match=r"mask.file = .*has changed since the sample file was read"):
         what.region_at(np.zeros(1), np.zeros(1))
 
 
