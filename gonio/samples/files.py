@@ -46,7 +46,8 @@ def load_sample(path: str | Path, *, uniform: bool = False) -> SampleDescription
         sample = load(SampleDescription, path)
     if uniform and (sample.texture or sample.region):
         what = f"[texture.{next(iter(sample.texture))}]" if sample.texture else "[[region]]"
-        raise ConfigError(f"{path}: {what}: one model is needed here, alike all over; leave it out")
+        rest = "texture" if sample.texture else "regions"
+        raise ConfigError(f"{path}: {what}: one model is needed here, alike all over; leave the {rest} out")
     _check_parameters(sample, f"{path}: ")
     regions = tuple(_filled(one, path, f"{path}: region[{k}]") for k, one in enumerate(sample.region, 1))
     mask = sample.mask.beside(path, f"{path}: mask") if sample.mask is not None else None

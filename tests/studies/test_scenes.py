@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from gonio_scenes import mitsuba
 from gonio_scenes.render import render
 from gonio_validation.bench import timing
 from typer.testing import CliRunner
 
+from gonio import measurement, models
+from gonio.config import to_toml
+from gonio.formats.reader import table
 from gonio.typing import Floats
 from tests.gonio_scenes.scenes import scene
 from tools.studies import mitsuba_pictures, scenes
@@ -163,3 +167,32 @@ def test_mitsuba_agrees_within_three_standard_errors(case: str, tmp_path: Path) 
     score = apart(made, mitsuba.export(made), tmp_path)
     # 36 tiles: one in ten such pictures has one beyond three by chance, and these seeds have none
     assert np.abs(score).max() < 3.0
+
+
+PAINT = {"albedo": {"red": 0.7, "green": 0.4, "blue": 0.1}, "sigma_deg": 25.0}
+
+
+def table_of(model: str, **parameters: Any) -> pd.DataFrame:
+    """A model measured in and out of the plane of incidence."""
+    theta_i, theta_r, phi_r = (
+        a.ravel() for a in np.meshgrid(np.arange(0, 81, 10), np.arange(0, 81, 5), np.arange(0, 181, 30), indexing="ij")
+    )
+    brdf = models.build(model, parameters).brdf(*np.deg2rad([theta_i, 0 * theta_i, theta_r, phi_r]))
+    return table(theta_i_deg=theta_i, phi_i_deg=0.0, theta_r_deg=theta_r, phi_r_deg=phi_r, wavelength_nm=550.0,
+                 brdf=brdf, attrs={"sample": "m"})  # fmt: skip
+
+
+@installed
+@pytest.mark.parametrize("kind", ["table", "colours"])
+def test_mitsuba_agrees_on_materials_from_files(kind: str, tmp_path: Path) -> None:
+    """A measured table, and a sample in three channels."""
+    waves = [465.0, 550.0, 610.0] if kind == "colours" else [550.0]
+    name = "m.csv" if kind == "table" else "m.toml"
+    if kind == "table":
+        measurement.write(table_of("cook-torrance", m=0.3, ior=1.5, diffuse_albedo=0.4), tmp_path / name)
+    else:
+        (tmp_path / name).write_text(to_toml({"name": "m", "model": "oren-nayar", "parameters": PAINT}))
+    material = {"m": {"file": name}, "floor": scenes.FLOOR}
+    what = {"material": material, "shape": [FLOOR, BALL], "light": [scenes.SUN], "wavelength_nm": waves}
+    made = scene(tmp_path, camera=CAMERA, **what)
+    assert np.abs(apart(made, mitsuba.export(made), tmp_path)).max() < 3.0
