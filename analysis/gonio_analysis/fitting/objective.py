@@ -239,7 +239,7 @@ def objective(data: Observations, metric: str | None = None) -> Objective:
     """
     stated = data.covariance is not None and data.u_rel_assumed is None
     chosen = metric or ("weighted" if stated else "log")
-    small = smallest(data)
+    small = smallest_of(data)
     if chosen == "weighted":
         if data.covariance is None:
             raise ConfigError(
@@ -257,15 +257,21 @@ def objective(data: Observations, metric: str | None = None) -> Objective:
     )
 
 
-def smallest(data: Observations) -> float:
-    """e [1/sr] of the scale of "log", for measured values.
+def smallest(brdf: Floats) -> float:
+    """e [1/sr] of the scale of "log", for measured values."""
+    return max(LINEAR_BELOW * float(np.median(np.abs(brdf))), 1e-300)
 
-    Elements of Mueller matrices and Stokes parameters are differences, small beside the intensity that they belong to:
-    where there are such, differences below a typical intensity count as differences.
+
+def smallest_of(data: Observations) -> float:
+    """`smallest` of values, some of which may be elements of Mueller matrices or Stokes parameters.
+
+    Those are differences, small beside the intensity that they belong to: where there are such, what is below a typical
+    intensity counts as a difference.
     """
-    if (apart := data.differences).any():
-        return max(0.5 * float(np.median(np.abs(data.brdf[~apart] if not apart.all() else data.brdf))), 1e-300)
-    return max(LINEAR_BELOW * float(np.median(np.abs(data.brdf))), 1e-300)
+    apart = data.differences
+    if not apart.any():
+        return smallest(data.brdf)
+    return 0.5 / LINEAR_BELOW * smallest(data.brdf[~apart] if not apart.all() else data.brdf)
 
 
 def on_log_scale(data: Observations, small: float, predicted: Floats, tau: float = 0.0) -> Covariance | None:
@@ -287,7 +293,7 @@ def with_misfit(data: Observations, tau: float, predicted: Floats) -> Objective:
 
     tau^2 depends on no fitted value: a model cannot make itself likely by a larger variance.
     """
-    small = smallest(data)
+    small = smallest_of(data)
     weights = on_log_scale(data, small, predicted, tau)
     return Objective(data.brdf, weights, small, metric="log", tau=tau, assumed=data.u_rel_assumed)
 

@@ -19,7 +19,7 @@ from gonio.models.parameters import OPTICAL
 from gonio.typing import Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelength
 from gonio_analysis.fitting.misfit import Misfit
-from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest, with_misfit
+from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest_of, with_misfit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.propagation import points_around
@@ -368,7 +368,7 @@ def residuals_on_log_scale(
     problem: Problem, data: Observations, vector: Floats
 ) -> tuple[Floats, Floats, Covariance | None]:
     """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance."""
-    plain = Objective(data.brdf, None, smallest(data), metric="log")
+    plain = Objective(data.brdf, None, smallest_of(data), metric="log")
     predicted, near = (apparent(problem.model(vector), data, quick=quick) for quick in (False, True))
     lower, upper = problem.bounds
     inside = np.flatnonzero((vector > lower) & (vector < upper))

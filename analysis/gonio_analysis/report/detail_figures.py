@@ -167,11 +167,11 @@ def _on_profiles(figure: Any, *, panels: list[tuple[Interval, float, str]], thre
 
 
 def _budget(d: DatasetSummary, most: int) -> Drawing:
-    assert d.data.covariance is not None
+    assert d.every_state.covariance is not None
     names = labels(d.curves)
     shown = [(d.curves[k], names[k]) for k in evenly(len(d.curves), MOST)]
     common = [k for k in largest([p.median for p in d.budget[2:]]) if d.budget[2 + k].p95 >= SEEN]
-    parts = ["combined", "random", *(cause(d.data.covariance.causes[k]) for k in common)]
+    parts = ["combined", "random", *(cause(d.every_state.covariance.causes[k]) for k in common)]
     entries = [(part, diagnostics.look(k)) for k, part in enumerate(parts)]
     # every cause is a line over the same angles
     each = max(most // (len(entries) * len(shown)), 16)
@@ -200,7 +200,7 @@ def _on_budget(figure: Any, *, panels: list[Any], entries: list[tuple[str, diagn
 
 
 def _parts(d: Dataset, curve: Curve, common: list[int]) -> tuple[Any, list[tuple[str, Any]]]:
-    c = d.data.covariance
+    c = d.every_state.covariance
     assert c is not None
     rows = curve.rows
     size = np.where(np.abs(curve.brdf) > 3 * curve.u, np.abs(curve.brdf), np.nan)

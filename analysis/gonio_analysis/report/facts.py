@@ -74,8 +74,8 @@ class DatasetSummary(Dataset):
 
     @worked_out("quantities of appearance", None)
     def appearance(self) -> Appearance | None:
-        """None where a table is too large for a quick look."""
-        if len(self.table) > MOST_FOR_APPEARANCE:
+        """None where a table is too large for a quick look, or has polarised light alone."""
+        if len(self.table) > MOST_FOR_APPEARANCE or self.data.light is not None:
             return None
         return of_table(self.table, name=self.name, source=self.source, wavelength_nm=self.wavelength_nm)
 

@@ -161,7 +161,7 @@ def _profiles(s: DatasetSummary, path: Path) -> None:
 
 def _values(d: DatasetSummary, path: Path) -> None:
     """Fitted values with every model's prediction."""
-    data = next((f.fit.data for f in d.models.values()), d.data)
+    data = d.every_state
     angles = [_degrees(x) for x in data.directions.angles]
     states = {"polarisation": data.states} if data.states.size else {}
     models, c = list(d.models), data.covariance

@@ -14,6 +14,7 @@ from gonio_analysis.report.section import Section
 _MODULES = (
     "channels",
     "beyond_reflection",
+    "polarisation",
     "appearance",
     "checks",
     "budget",

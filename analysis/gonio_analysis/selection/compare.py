@@ -35,6 +35,7 @@ from gonio_analysis.selection.beyond_reflection import MuellerFacts, Transmitted
 from gonio_analysis.selection.choice import ModelChoice, candidates, choose
 from gonio_analysis.selection.judging import DECISIVE, Judged, deviance
 from gonio_analysis.selection.parallel import Share
+from gonio_analysis.selection.polarised import PolarisationRatios, ratios
 from gonio_analysis.selection.regions import WorstRegion, farthest
 
 MOST_ANGLES = 1000
@@ -183,6 +184,11 @@ class Dataset:
         """`models`, as earlier versions called them."""
         return self.models
 
+    @property
+    def every_state(self) -> Observations:
+        """The values that curves and fits are of: `data`, and those of every state of polarised light."""
+        return next((one.fit.data for one in self.models.values()), self.data)
+
     @cached_property
     def curves(self) -> list[Curve]:
         """The in-plane curves that are drawn."""
@@ -230,6 +236,12 @@ class Dataset:
         """The Mueller matrices that the table holds."""
         best = self.best
         return polarisation(self.table, self.data, self.curves, best, None if best is None else self.models[best].fit)
+
+    @worked_out("ratios of polarised states", None)
+    def ratios(self) -> PolarisationRatios | None:
+        """Ratios of polarised states, beside the model that is put first."""
+        best = self.best
+        return None if best is None else ratios(self.models[best].fit.data, self.models[best].fit, best)
 
     @property
     def simulated(self) -> bool:

@@ -17,7 +17,7 @@ from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.misfit import groupings
-from gonio_analysis.fitting.objective import on_log_scale, smallest
+from gonio_analysis.fitting.objective import on_log_scale, smallest_of
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.fitting.profile_likelihood import Near
@@ -163,7 +163,7 @@ def _held_out(result: FitResult, folds: Sequence[Rows]) -> tuple[float | None, F
     everything = np.arange(0, len(result.data), -(-len(result.data) // MANY))
     free = np.arange(len(result.free))
     total, misses = 0.0, np.full(len(result.data), np.nan)
-    scale = 2.0 * smallest(result.data)
+    scale = 2.0 * smallest_of(result.data)
     for fold in (np.intersect1d(everything, whole) for whole in folds):
         rest = np.setdiff1d(everything, fold)
         if rest.size <= free.size:

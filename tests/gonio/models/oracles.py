@@ -16,6 +16,14 @@ def direction(theta: Any, phi: Any) -> list[Any]:
     return [mp.sin(theta) * mp.cos(phi), mp.sin(theta) * mp.sin(phi), mp.cos(theta)]
 
 
+def halfway(theta_i: Any, phi_i: Any, theta_r: Any, phi_r: Any) -> tuple[Any, Any, Any, Any]:
+    """N.L, N.V, N.H, V.H."""
+    light, view = direction(theta_i, phi_i), direction(theta_r, phi_r)
+    s = [a + b for a, b in zip(light, view, strict=True)]
+    length = mp.sqrt(sum(c * c for c in s))
+    return light[2], view[2], s[2] / length, length / 2
+
+
 def fresnel_amplitudes(c: Any, ior: complex) -> tuple[Any, Any]:
     n = mp.mpc(ior)
     q = mp.sqrt(n * n - 1 + c * c)
