@@ -27,6 +27,12 @@ _DPHI = re.compile(
 _SHORT = {"sza": "theta_i", "iza": "theta_i", "saa": "phi_i", "vza": "theta_r", "vaa": "phi_r", "oza": "theta_r"}
 _LETTERS = {"ti": "theta_i", "tr": "theta_r", "pi": "phi_i", "pr": "phi_r"}
 """Angles where both polar ones are called so."""
+_ALONE: dict[str, tuple[str, ...]] = {
+    "theta_i": ("inc", "incidence", "incident", "incidence_angle", "angle_of_incidence", "aoi", "source", "src"),
+    "theta_r": ("theta", "angle", "zenith", "det", "detector", "view"),
+    "brdf": (),
+}
+"""Names of columns that are this one where no other is; any name where there are none."""
 _VALUES = {"r", "value", "values", "reflectance", "brdf_values", "bsdf_values", "f", "intensity", "signal", "brdf_cos",
            "ccbrdf", "f_cos", "cos_brdf", "brdf_cosine"}  # fmt: skip
 _FACTOR = re.compile(r"\b(h?c?d?r?brf|hdrf|(reflectance|radiance)[ _]factor)s?\b", re.IGNORECASE)
@@ -157,7 +163,7 @@ def _of(table: CsvTable, preamble: str, given: dict[str, str]) -> Proposal:
         names.pop("wavelength", None)
     left = [n for n in header if n not in {own for own, _ in names.values()} and values[n] is not None]
     alone = set[str]()
-    for key, words in (("theta_r", ("theta", "angle", "zenith", "det", "detector", "view")), ("brdf", ())):
+    for key, words in _ALONE.items():
         fitting = [n for n in left if word_and_unit(n)[0] in words] if words else left if not wide else []
         if key not in names and len(fitting) == 1:
             names[key] = (fitting[0], "")
