@@ -28,7 +28,7 @@ from gonio_analysis.fitting import energy, parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.objective import metrics
 from gonio_analysis.fitting.observations import Observations, observations
-from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares
+from gonio_analysis.fitting.spectrum import MOST_WAVELENGTHS, fit_shared, shares, thinned
 from gonio_analysis.result_records import Reflectance
 from gonio_analysis.selection import parallel
 from gonio_analysis.selection.beyond_reflection import MuellerFacts, Transmitted, polarisation, transmitted
@@ -300,6 +300,7 @@ def examine(
     """
     through = transmitted(table, name, wavelength_nm, u_rel)
     data = observations(table, name, u_rel, polarised=True)
+    data = thinned(data) if data.of_channels else data
     every, share = "all" in models, share if len(data) <= MOST_SENT else parallel.here
     choice = choose(
         data, candidates(models, ior), ior=ior, wavelength_nm=wavelength_nm, metric=metric, energy=bound_energy,
