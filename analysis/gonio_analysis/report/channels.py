@@ -10,6 +10,7 @@ from gonio import colour
 from gonio.spectra import RGB_NM
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import Curve, curves
+from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots.in_plane import angle_axis, bars_above_0, log_axis
 from gonio_analysis.report.blocks import Block, Figures, Heading
 from gonio_analysis.report.drawing import Drawing
@@ -22,6 +23,8 @@ KIND = "colour"
 PAINT = {"red": "#c0272d", "green": "#2f8a3c", "blue": "#2456b8"}
 INCIDENCE = np.radians(45.0)
 """The curve nearest to it is drawn; where nothing lies in the plane of incidence the models are drawn there."""
+STILL = np.radians(1.0)
+"""The incidence of a curve changes by less: in the plane of a scattered table lie values of all incidences."""
 ANGLES = np.radians(np.arange(-85.0, 85.5, 1.0))
 SIZE_IN = (5.6, 3.9)
 
@@ -32,6 +35,12 @@ def _of(d: Dataset) -> FittedModel | None:
     return f if f is not None and d.data.of_channels and len(f.series) == len(RGB_NM) else None
 
 
+def _curves(every: Sequence[Curve], data: Observations) -> list[Curve]:
+    """Those along which the detector moves and the source stands still."""
+    incidence = data.directions.theta_i
+    return [c for c in every if c.scanned == "theta_r" and np.ptp(incidence[c.rows]) < STILL]
+
+
 def draw(d: Dataset, facts: DatasetSummary) -> Sequence[Drawing]:
     """Curves of the channels of one incidence, and above them the colour at each angle."""
     f = _of(d)
@@ -39,7 +48,7 @@ def draw(d: Dataset, facts: DatasetSummary) -> Sequence[Drawing]:
         return []
     nothing = np.zeros(0)
     shown = min(
-        (c for c in d.every_curve if c.scanned == "theta_r"),
+        _curves(d.every_curve, d.data),
         key=lambda c: abs(c.parameter - INCIDENCE),
         default=Curve("theta_r", float(INCIDENCE), 0.0, nothing, nothing.astype(np.intp), nothing, nothing, 0.0),
     )
@@ -47,7 +56,7 @@ def draw(d: Dataset, facts: DatasetSummary) -> Sequence[Drawing]:
     theory, measured = list[Floats](), list[tuple[Floats, Floats, Floats]]()
     for fit in (by_wave[nm] for nm in RGB_NM.values()):
         theory.append(np.asarray(shown.theory(fit.model, ANGLES, fit.data)))
-        like = [c for c in curves(fit.data) if c.scanned == "theta_r" and abs(c.parameter - shown.parameter) < 1e-3]
+        like = [c for c in _curves(curves(fit.data), fit.data) if abs(c.parameter - shown.parameter) < 1e-3]
         found = like[:1] if shown.angle.size else []
         measured += [(c.angle, c.brdf, c.u) for c in found] or [(nothing, nothing, nothing)]
     caption = (
