@@ -106,3 +106,31 @@ def test_words_of_states() -> None:
     assert len(set(polarisation.WORDS)) == len(polarisation.WORDS)
     assert {"unpolarised", "s", "ss", "us", "dQ", "rl", "VV"} < {*polarisation.WORDS}
     assert polarisation.MUELLER["m12"] == "UQ"  # row Q, column U
+
+
+FACETS = {"type": "0", "sdf": {None: "Exponential_Slope_Distribution_Function", "s": "0.3"}, "stack": "No_StackModel"}
+ROUGH = {"type": "0", "psd": {None: "ABC_PSD_Function", "A": "0.01", "B": "3", "C": "2.5"}}
+
+
+@pytest.mark.parametrize(
+    ("model", "name", "more"),
+    [
+        (GGX(0.3, 1.5 + 0.2j), "Facet_BRDF_Model", FACETS),
+        (KCorrelation(0.001, 3.0, 2.5, ior=1.5 + 0.2j), "Microroughness_BRDF_Model", ROUGH),
+    ],
+    ids=["facets", "first order"],
+)
+def test_matrices_are_those_of_scatmech(model: Model, name: str, more: dict[str, object]) -> None:
+    """Germer's SCATMECH at 300 geometries; its s, p and ray are right-handed, so that U and V have other signs."""
+    brdf = pytest.importorskip("pySCATMECH.brdf", reason="the extra gonio[peers] is not installed")
+    peer = brdf.BRDF_Model(name, {"lambda": "0.55", "substrate": "(1.5,0.2)", **more})
+    rng = np.random.default_rng(5)
+    theta_i, theta_r = rng.uniform(0.02, 1.4, (2, 300))
+    dphi = rng.uniform(0.05, 2.0 * np.pi - 0.05, 300)
+    pairs = zip(theta_i, theta_r, dphi - np.pi, strict=True)  # its azimuth 0 is the mirror side
+    wanted = np.array([
+        peer.MuellerBRDF(thetai=i, thetas=r, phis=phi, rotation=0, coords="psps") for i, r, phi in pairs
+    ])  # fmt: skip
+    signs = np.array([1.0, 1.0, -1.0, -1.0])
+    ours = mueller(model, Directions(theta_i, np.zeros(300), theta_r, dphi)) * np.outer(signs, signs)
+    assert np.max(np.abs(ours / ours[:, :1, :1] - wanted / wanted[:, :1, :1])) < ROUNDING
