@@ -72,8 +72,8 @@ def test_a_name_takes_its_channels_from_a_file_of_several_samples(tmp_path: Path
     (name, table), *none = measurement.tables(f"{tmp_path / 'two.csv'}:paint").items()
     assert (name, none) == ("paint", [])
     assert channels.is_joined(table)
-    with pytest.raises(DataError, match='holds no sample "pain"'):
-        measurement.tables(f"{tmp_path / 'two.csv'}:pain")
+    with pytest.raises(DataError, match='holds no sample "wood"'):
+        measurement.tables(f"{tmp_path / 'two.csv'}:wood")
 
 
 @pytest.mark.parametrize(("truth", "same"), [(SHARED, True), (APART, False)])
