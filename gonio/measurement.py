@@ -20,8 +20,8 @@ A table is a `pandas.DataFrame` with one row a direction pair, wavelength and po
 - `flag`: "" or the reason why the row must not be used.
 
 `frame.attrs` holds the rest: `quantity`, `source_solid_angle_sr`, `receiver_solid_angle_sr` (None where unknown),
-`bands`, `polarisation`, `source_file`, `sample`, `samples`, `provenance`, and `notes`: sentences for a person about
-what a file leaves out or what a reader did to it.
+`bands`, `polarisation`, `polarisers`, `source_file`, `sample`, `samples`, `provenance`, and `notes`: sentences for a
+person about what a file leaves out or what a reader did to it.
 """
 
 from __future__ import annotations

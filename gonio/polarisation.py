@@ -6,10 +6,14 @@ parameter of the reflected light: the difference of what two analysers pass. One
 with that Stokes parameter of the light: "QU" is the element of a Mueller matrix in the row of U and the column of Q.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from gonio.errors import DataError
 from gonio.typing import Floats
 
 STATES = {
@@ -53,7 +57,83 @@ def stokes(word: str) -> tuple[Floats, Floats]:
     return light, np.array(STATES[seen]) * (1.0 if seen == "u" else 0.5)
 
 
-def states(words: Sequence[str]) -> tuple[Floats, Floats]:
-    """The light's Stokes vectors and the analysers' rows, (n, 4) each, of n `WORDS`."""
-    found = {word: stokes(word) for word in set(words)}
+@dataclass(frozen=True)
+class Polariser:
+    """A polariser that is not perfect, and how well it is known (k = 1)."""
+
+    extinction: float = 0.0
+    """Smallest over largest transmittance for linearly polarised light, in [0, 1]; 0 is perfect."""
+    azimuth: float = 0.0
+    """How far its axis is turned beside what a word says, from s toward p [rad]."""
+    u_extinction: float = 0.0
+    u_azimuth: float = 0.0
+
+    @classmethod
+    def of(cls, stated: object, where: str) -> Self:
+        """From `extinction`, `azimuth_deg`, `u_extinction` and `u_azimuth_deg` of a table's attributes.
+
+        Raises
+        ------
+        DataError
+            There is another key, or a value is no number in its range; `where` names the place.
+        """
+        numbers = dict(stated) if isinstance(stated, Mapping) else {"": stated}
+        out = {}
+        for key, value in numbers.items():
+            name = str(key).removesuffix("_deg")
+            known = name in ("extinction", "u_extinction") or key in ("azimuth_deg", "u_azimuth_deg")
+            if not known or isinstance(value, bool) or not isinstance(value, int | float):
+                keys = "extinction, azimuth_deg, u_extinction, u_azimuth_deg"
+                raise DataError(f"{where}: {key!r} = {value!r}; a number for each of {keys} is needed, or none")
+            low, high = (0.0, 1.0) if "extinction" in name else (-90.0 if name == "azimuth" else 0.0, 90.0)
+            if not low <= value <= high:
+                raise DataError(f"{where}: {key} = {value:g} is outside [{low:g}, {high:g}]")
+            out[name] = math.radians(value) if "azimuth" in name else float(value)
+        return cls(**out)
+
+    def passed(self, ideal: Floats) -> Floats:
+        """What it makes of a Stokes vector or an analyser's row (4,) that a perfect one has."""
+        cos, sin = math.cos(2.0 * self.azimuth), math.sin(2.0 * self.azimuth)
+        share = (1.0 - self.extinction) / (1.0 + self.extinction)
+        i, q, u, v = ideal
+        return np.array([i, share * (q * cos - u * sin), share * (q * sin + u * cos), share * v])
+
+
+class Polarisers(NamedTuple):
+    """Those in front of the light and in front of the receiver."""
+
+    light: Polariser = Polariser()
+    receiver: Polariser = Polariser()
+
+    @classmethod
+    def of(cls, attributes: Mapping[Any, Any]) -> Self:
+        """Those that a table states in its attribute `polarisers`, by `light` and `receiver`; else perfect ones."""
+        stated = attributes.get("polarisers") or {}
+        if not isinstance(stated, Mapping) or not {*stated} <= {*cls._fields}:
+            raise DataError(f"polarisers = {stated!r} of the table: a table for light, for receiver, or both is needed")
+        return cls(**{name: Polariser.of(one, f"polarisers.{name} of the table") for name, one in stated.items()})
+
+    def moved(self, which: str, number: str, by: float) -> Self:
+        """With one number of one of them changed."""
+        one = getattr(self, which)
+        return self._replace(**{which: replace(one, **{number: getattr(one, number) + by})})
+
+
+PERFECT = Polarisers()
+
+
+def states(words: Sequence[str], polarisers: Polarisers = PERFECT) -> tuple[Floats, Floats]:
+    """The light's Stokes vectors and the analysers' rows, (n, 4) each, of n `WORDS`.
+
+    A polariser that is not perfect stands where the word has a letter for one: not for unpolarised light, no analyser,
+    or an element of a matrix.
+    """
+    found = {}
+    for word in set(words):
+        light, seen = stokes(word)
+        if word != UNPOLARISED and word[0] not in PARAMETERS:
+            light = polarisers.light.passed(light)
+        if word != UNPOLARISED and word[1:].islower():
+            seen = polarisers.receiver.passed(seen)
+        found[word] = light, seen
     return np.array([found[w][0] for w in words]), np.array([found[w][1] for w in words])

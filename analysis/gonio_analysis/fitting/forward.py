@@ -180,6 +180,7 @@ def by_model(data: Observations, model: Any, predicted: Floats) -> Observations:
     predicted
         Its values in the directions of `data` [1/sr], by the quick forward model.
     """
+    data = _with_polarisers(data, model)
     known = data.covariance
     if known is None or not data.zeros_rad:
         return data
@@ -201,6 +202,23 @@ def by_model(data: Observations, model: Any, predicted: Floats) -> Observations:
         rest = np.sqrt(np.maximum(known.random**2 - data.u_angles**2, (1e-6 * known.total) ** 2))
         random[in_plane] = np.hypot(rest, by_readings)[in_plane]
     return replace(data, covariance=replace(known, random=random, common=common))
+
+
+def _with_polarisers(data: Observations, model: Any) -> Observations:
+    """The same values with a common cause for each uncertain number of the polarisers, as the model has it."""
+    known = data.covariance
+    if known is None or data.light is None:
+        return data
+    causes, columns = list(known.causes), list(known.common.T)
+    for which, number in itertools.product(("light", "receiver"), ("azimuth", "extinction")):
+        cause, u = f"{which}_{number}", getattr(getattr(data.polarisers, which), f"u_{number}")
+        if u > 0.0 and cause not in causes:
+            up, down = (replace(data, polarisers=data.polarisers.moved(which, number, by)) for by in (u, -u))
+            causes.append(cause)
+            columns.append(0.5 * (apparent(model, up, quick=True) - apparent(model, down, quick=True)))
+    if len(causes) == len(known.causes):
+        return data
+    return replace(data, covariance=replace(known, common=np.stack(columns, axis=1), causes=tuple(causes)))
 
 
 def _of_readings(data: Observations, model: Any, predicted: Floats) -> Floats:

@@ -124,6 +124,8 @@ class Observations:
     first: Floats = field(default_factory=lambda: np.zeros(0))
     """(n,) Measured first elements of Mueller matrices [1/sr] that values are ratios times, NaN for others; empty where
     there are none."""
+    polarisers: polarisation.Polarisers = polarisation.PERFECT
+    """The instrument's, of polarised values."""
     u_rel_assumed: float | None = None
     """Relative uncertainty that somebody assumes, where the table states none: `covariance` is then made from it."""
     of_channels: bool = False
@@ -193,7 +195,7 @@ class Observations:
         if not self.states.size:
             return None
         first = self.first if self.first.size else None
-        return Light(self.directions, *polarisation.states(self.states.tolist()), first)
+        return Light(self.directions, *polarisation.states(self.states.tolist(), self.polarisers), first)
 
     @property
     def differences(self) -> npt.NDArray[np.bool_]:
@@ -349,6 +351,7 @@ def observations(
         notes=tuple(notes),
         u_rel_assumed=u_rel,
         of_channels=is_joined(table),
+        polarisers=polarisation.Polarisers.of(table.attrs),
         **_of_angles(table, keep),
         states=_states(table["polarisation"].to_numpy(object)[keep]),
         first=_first(
@@ -472,6 +475,9 @@ def together(several: Mapping[str, Observations]) -> Observations:
             "other; fit them one by one, or give the first one a column u_brdf"
         )
     each = list(several.values())
+    for name, one in several.items():
+        if one.polarisers != each[0].polarisers:
+            raise DataError(f"{name}: has other polarisers than {next(iter(several))}; fit the two one by one")
     words = [one.states if one.states.size else np.full(len(one), polarisation.UNPOLARISED, object) for one in each]
     cones = np.array([(one.source_solid_angle_sr, one.receiver_solid_angle_sr) for one in each])
     source, receiver = np.where((cones == cones[0]).all(axis=0), cones[0], np.nan).tolist()
@@ -493,6 +499,7 @@ def together(several: Mapping[str, Observations]) -> Observations:
         part=np.repeat(np.arange(len(each)), [len(one) for one in each]),
         u_rel_assumed=next((one.u_rel_assumed for one in each if one.u_rel_assumed is not None), None),
         states=_states(np.concatenate(words)),
+        polarisers=each[0].polarisers,
         first=_first(np.concatenate([one.first if one.first.size else np.full(len(one), np.nan) for one in each])),
         of_channels=all(one.of_channels for one in each),
     )

@@ -8,6 +8,7 @@ from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import observations
 
 from gonio import measurement, polarisation
+from gonio.errors import DataError
 from gonio.formats.reader import MUELLER
 from gonio.geometry import Directions
 from gonio.models import GGX, CookTorrance, HeTorrance, Model, OrenNayar, Sum
@@ -111,3 +112,50 @@ def test_every_state_leaves_an_unpolarised_table_alone() -> None:
     frame = polarised(METAL, "unpolarised")
     assert measurement.every_state(frame) is frame
     assert observations(frame, polarised=True).light is None
+
+
+IMPERFECT = {
+    "light": {"extinction": 0.02, "azimuth_deg": 2.0, "u_extinction": 0.005, "u_azimuth_deg": 0.5},
+    "receiver": {"extinction": 0.01, "azimuth_deg": -1.0, "u_azimuth_deg": 0.5},
+}
+
+
+def test_imperfect_polarisers_are_in_the_model_and_in_the_budget() -> None:
+    """Values through them are not the model's through perfect ones; what is uncertain of them widens n and k."""
+    frame = polarised(METAL, "ss sp ps pp dd da")
+    at, words = Directions.from_table(frame), frame["polarisation"].tolist()
+    stated = polarisation.Polarisers.of({"polarisers": IMPERFECT})
+    seen, perfect = (
+        METAL.in_light(Light(at, *polarisation.states(words, one)), lambda m: np.asarray(m.brdf(*at.angles)), 550.0)
+        for one in (stated, polarisation.PERFECT)
+    )
+    frame["brdf"] += seen - perfect
+    assert fit(frame, "he-torrance").rejected
+    frame.attrs["polarisers"] = {k: {n: x for n, x in v.items() if n[0] != "u"} for k, v in IMPERFECT.items()}
+    exact = fit(frame, "he-torrance")
+    holds(exact, ior=2.9, k=3.1, sigma0_um=0.15)
+    frame.attrs["polarisers"] = IMPERFECT
+    wider = fit(frame, "he-torrance")
+    holds(wider, ior=2.9, k=3.1, sigma0_um=0.15)
+    assert wider.data.covariance is not None
+    assert wider.data.covariance.causes == ("light_azimuth", "light_extinction", "receiver_azimuth")
+    for name in ("ior", "k"):
+        one, other = wider.parameters[name].u, exact.parameters[name].u
+        assert one is not None
+        assert other is not None
+        assert one > other
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({"lamp": {}}, "a table for light, for receiver"),
+        ({"light": {"azimuth": 0.1}}, "'azimuth' = 0.1; a number for each of extinction, azimuth_deg"),
+        ({"light": {"extinction": 2.0}}, r"extinction = 2 is outside \[0, 1\]"),
+    ],
+)
+def test_polarisers_that_are_none_are_named(stated: object, said: str) -> None:
+    frame = polarised(METAL, "s")
+    frame.attrs["polarisers"] = stated
+    with pytest.raises(DataError, match=said):
+        observations(frame, polarised=True)
