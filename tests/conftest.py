@@ -30,14 +30,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--sample", help="the sample file that a simulated rig is given with --rig")
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Tests of a module run in one process (`-n`): what they share, some of it a minute's work, is made once."""
-    from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
-
-    return LoadFileScheduling(config, log) if config.getoption("dist") == "load" else None
-
-
 @pytest.fixture(autouse=True)
 def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files are written without waiting until a busy disk has them: no test cuts the power. Commands do wait."""
