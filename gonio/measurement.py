@@ -4,8 +4,8 @@ A table is a `pandas.DataFrame` with one row a direction pair, wavelength and po
 
 - `theta_i_deg, phi_i_deg` toward the source and `theta_r_deg, phi_r_deg` toward the detector: theta in [0, 90], phi in
   [0, 360), from the outward normal and the sample's x axis; the mirror half-plane is phi_r = phi_i + 180;
-- `wavelength_nm`, NaN for a broad band; `polarisation`: "unpolarised", or "ss", "sp", "ps", "pp"
-  (incident, then reflected), or "s", "p" (incident only);
+- `wavelength_nm`, NaN for a broad band; `polarisation`: "unpolarised", or another word of
+  `gonio.polarisation`, as "sp" (light, then analyser) or "s" (light, and no analyser);
 - `sample`, only where a file holds several samples;
 - `side`, only where some rows are transmission: "reflection" or "transmission". In rows of transmission theta_r lies
   in (90, 180], behind the sample, and `brdf` is the BTDF (docs/transmission.md);
