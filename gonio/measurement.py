@@ -516,7 +516,7 @@ def every_state(frame: DataFrame) -> DataFrame:
         parts.append(rows.assign(polarisation=word, **values))
     if len(parts) == 1:
         return frame
-    out = pd.concat(parts)
+    out: DataFrame = pd.concat(parts)
     out.attrs = frame.attrs
     return out
 
