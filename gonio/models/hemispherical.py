@@ -275,6 +275,8 @@ def unit_rule(order: int, rooted: bool = False) -> tuple[Floats, Floats]:
 COARSE, FINE = 8, 12
 """Nodes a side of the two rules that tell the error of a box."""
 MOST_BOXES = 20_000
+LEAST_REST = 1e-6
+"""Angle from grazing [rad] below which boxes shrink no further: 1e-12 of the hemisphere's cosines lie there."""
 
 
 def over_directions(
@@ -290,9 +292,10 @@ def over_directions(
     """The integral of any model's BRDF times the cosine of the moving direction, by halving boxes of its angles.
 
     Boxes of the moving direction's polar angle and azimuth begin at the fixed direction's own polar angle and at
-    quarter turns from its azimuth, so that the mirror and the retro direction are corners. Each goes through products
-    of Gauss rules of two orders, and the boxes whose difference is too large are quartered. A lobe that stands
-    elsewhere and is narrower than a twelfth of a box may be missed.
+    quarter turns from its azimuth, so that the mirror and the retro direction are corners. They shrink toward the
+    horizon as far as the fixed direction is from it: quartering would cut the azimuth there in vain. Each goes through
+    products of Gauss rules of two orders, and the boxes whose difference is too large are quartered. A lobe that
+    stands elsewhere and is narrower than a twelfth of a box may be missed.
 
     Parameters
     ----------
@@ -333,10 +336,12 @@ def _over_boxes(
         sides = 2.0 if even else 1.0
         return np.asarray(sides * model.brdf_vectors(*pair, wavelength_nm=wavelength_nm) * sine * cosine)
 
+    rest = max(HALF_PI - theta, LEAST_REST)
+    toward = HALF_PI - rest * 4.0 ** np.arange(1.0, math.log(HALF_PI / rest, 4.0))
     turns = HALF_PI * np.arange(3.0 if even else 5.0)
     return adaptive(
         integrand,
-        boxes(np.unique([0.0, theta, HALF_PI]), turns),
+        boxes(np.unique([0.0, *toward, theta, HALF_PI]), turns),
         tolerance,
         f"{model.name}: {math.degrees(theta):.6g} deg",
     )

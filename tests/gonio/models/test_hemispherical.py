@@ -14,7 +14,7 @@ from scipy.integrate import dblquad
 
 from gonio.errors import ArgumentError, DataError
 from gonio.models import Blinn, CookTorrance, HeTorrance, Lambert, Model, OrenNayar, Phong, Sum, fresnel
-from gonio.models._hemisphere import about_mirror
+from gonio.models._hemisphere import about_mirror, panels
 from gonio.typing import Floats
 
 ASKED = 1e-8
@@ -161,6 +161,28 @@ def test_facets_against_the_brdf_over_directions(surface: Model, theta: float) -
     ):
         expected = float(np.vdot(surface.brdf_vectors(*pair), weight))
         assert got == pytest.approx(expected, rel=1e-5)  # that rule does not know of the kinks of G
+
+
+@pytest.mark.parametrize("theta", [1.569, 1.56905, 1.5705])
+def test_exact_grooves_near_grazing_take_few_directions(theta: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against panels of another rule, which halve toward the horizon, where the BRDF changes fastest."""
+    surface = OrenNayar(1.0, 89.0, "exact")
+    edges = [*(pi / 2 - 0.5 ** np.arange(14.0)), pi / 2]
+    polar, w_polar = panels(np.array([0.0, *edges]), 10)
+    azimuth, w_azimuth = panels(np.linspace(0.0, pi, 5), 10)
+    values = surface.brdf(theta, 0.0, polar[:, None], azimuth)
+    expected = float(2.0 * (w_polar * np.cos(polar) * np.sin(polar)) @ values @ w_azimuth)
+    asked = []
+    plain = OrenNayar.brdf_vectors
+
+    def counted(self: OrenNayar, *pair: Floats, **options: Any) -> Any:
+        values = plain(self, *pair, **options)
+        asked.append(values.size)
+        return values
+
+    monkeypatch.setattr(OrenNayar, "brdf_vectors", counted)
+    assert surface.directional_hemispherical(theta) == pytest.approx(expected, rel=1e-6)  # what the form states
+    assert sum(asked) < 10_000  # of about 30 us each; before boxes shrank toward the horizon 100 000 and more
 
 
 @pytest.mark.parametrize("surface", [OrenNayar(0.9, 30.0), OrenNayar(0.6, 15.0, "qualitative")])
