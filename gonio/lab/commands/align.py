@@ -119,7 +119,8 @@ def _joined(tables: list[pd.DataFrame]) -> pd.DataFrame:
     for table in tables:
         table["scan"] += first
         first = int(table["scan"].max())
-    return pd.concat(tables, ignore_index=True)
+    joined: pd.DataFrame = pd.concat(tables, ignore_index=True)
+    return joined
 
 
 def _show(found: Alignment, description: RigDescription) -> None:

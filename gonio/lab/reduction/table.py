@@ -424,7 +424,7 @@ def assemble_budget(table: DataFrame, bands: list[BandResult]) -> DataFrame:
     more = pd.DataFrame({name: found[name] for name in numbers[len(parts) :]})
     more["coarse"] = more["coarse"] > 0
     own = pd.DataFrame({name: found[name] for name in parts})
-    out = pd.concat([table[kept], own, table[causes], more, table[["flag"]]], axis=1)
+    out: DataFrame = pd.concat([table[kept], own, table[causes], more, table[["flag"]]], axis=1)
     out.attrs = {}
     return out
 
