@@ -13,17 +13,19 @@ NEEDED = (*ANGLES, "brdf")
 
 _ANGLE = re.compile(
     r"(theta|tetha|thetha|theat|teta|phi|θ|ϑ|φ|ϕ|polar|azimuth)_?"
-    r"(i|in|inc|incident|incidence|src|source|light|r|o|out|s|refl|reflected|scat|scattered|det|detector|view)"
+    r"(i|in|inc|incident|incidence|src|source|l|light|r|o|out|s|refl|reflected|scat|scattered|det|detector|v|view)"
 )
 """Half and difference angles (theta_h, theta_d) are none of these, and are no measurement table's."""
 _REVERSED = re.compile(
     r"(source|src|light|incident|incidence|inc|in|viewing|view|detector|det|receiver|reflected|reflection|observation|"
-    r"obs|out)_?(zenith|polar|theta|azimuth|phi|z|a)(_angle)?"
+    r"obs|out)_?(zenith|polar|theta|azimuth|phi|z|az|a)(_angle)?"
 )
 _SHORT = {"ti": "theta_i_deg", "pi": "phi_i_deg", "tr": "theta_r_deg", "pr": "phi_r_deg"}
 """Angles where all four are called so."""
-_AZIMUTHS = ("phi", "φ", "ϕ", "azimuth")
-_INCIDENT = ("i", "src", "source", "light")
+_SUN = {"theta_s": "theta_i_deg", "phi_s": "phi_i_deg"}
+"""Angles of the source where theta_v is the viewer's; else s is where light is scattered to."""
+_AZIMUTHS = ("phi", "φ", "ϕ", "azimuth", "az", "a")
+_INCIDENT = ("i", "src", "source", "l")
 _UNITS = {
     "": "", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad",
     "radians": "rad", "nm": "nm", "um": "um", "µm": "um", "μm": "um", "micron": "um", "microns": "um",
@@ -73,8 +75,12 @@ def unit_in(name: str) -> str:
 def found_in(header: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Columns of the table that the header lacks: the one of its names that nearly is it, and the unit to name."""
     found = defaultdict(list)
-    for name in itertools.islice((name for name in header if name not in COLUMNS and len(name) <= 40), _LOOKED_AT):
+    names = [*itertools.islice((name for name in header if name not in COLUMNS and len(name) <= 40), _LOOKED_AT)]
+    sun = {"theta_s", "theta_v"} <= {word_and_unit(name)[0] for name in names}
+    for name in names:
         near = _nearly(name)
+        if near is not None and sun and (column := _SUN.get(word_and_unit(name)[0])):
+            near = column, near[1]
         if near is not None and near[0] not in header:
             found[near[0]].append((name, near[1]))
     short = {name.strip().lower(): name for name in header}
@@ -105,7 +111,7 @@ def _nearly(name: str) -> tuple[str, str] | None:
     angle, reverse = _ANGLE.fullmatch(word), _REVERSED.fullmatch(word)
     if angle or reverse:
         what, where = angle.groups() if angle else reverse.group(2, 1) if reverse else ("", "")
-        kind, side = "phi" if what in (*_AZIMUTHS, "a") else "theta", "i" if where.startswith(_INCIDENT) else "r"
+        kind, side = "phi" if what in _AZIMUTHS else "theta", "i" if where.startswith(_INCIDENT) else "r"
         column = f"{kind}_{side}_deg"
     else:
         near = difflib.get_close_matches(word, _SPELT, n=1, cutoff=0.85)

@@ -25,6 +25,12 @@ _DPHI = re.compile(
     r"phi|φ|ϕ|azimuth|azimuth_angle"
 )
 _SHORT = {"sza": "theta_i", "iza": "theta_i", "saa": "phi_i", "vza": "theta_r", "vaa": "phi_r", "oza": "theta_r"}
+_SHORT |= dict.fromkeys(
+    ("aoi", "incidence", "angle_of_incidence", "incidence_angle", "incident_angle", "inc_angle"), "theta_i"
+)
+_SHORT |= dict.fromkeys(
+    ("viewing_angle", "view_angle", "observation_angle", "detector_angle", "receiver_angle"), "theta_r"
+)
 _LETTERS = {"ti": "theta_i", "tr": "theta_r", "pi": "phi_i", "pr": "phi_r"}
 """Angles where both polar ones are called so."""
 _ALONE: dict[str, tuple[str, ...]] = {
@@ -119,13 +125,14 @@ def _is_number(cell: str) -> bool:
 
 
 def _wide(header: Sequence[str]) -> str:
-    """The name of the columns that are one a wavelength, where there are several; else ""."""
+    """The name of the columns that are one a wavelength (100 to 200000 nm), where there are several; else ""."""
     if all(map(_is_number, header)):
         return ""
-    for name, pattern in (("*nm", r"[\d.,]+\s*nm"), ("*um", r"[\d.,]+\s*um"), ("*", r"[\d.,]+")):
+    for name, pattern in (("*nm", r"[\d.,]+\s*nm"), ("*um", r"[\d.,]+\s*um")):
         if sum(bool(re.fullmatch(pattern, cell.strip(), re.IGNORECASE)) for cell in header) > 1:
             return name
-    return ""
+    bare = [float(cell.replace(",", ".")) for cell in header if _is_number(cell)]
+    return "*" if sum(100.0 <= value <= 200_000.0 for value in bare) > 1 else ""
 
 
 def _names(header: Sequence[str]) -> dict[str, tuple[str, str]]:
@@ -245,6 +252,10 @@ def _without_header(lines: Sequence[str], path: Path) -> Proposal | None:
     if place is None:
         return None if not lines else _no_numbers(lines)
     first, mark = place
+    for line in lines[max(0, first - 1) : first]:  # names of another language are names
+        names = cells_of(line, mark)
+        if len(names) == len(cells_of(lines[first], mark)) and not any(map(_is_number, names)):
+            return _unknown(names)
     count = len(lines[first].split()) if mark == BLANKS else lines[first].count(mark) + 1
     out = Proposal([f"#{k}" for k in range(1, count + 1)])
     out.pairs = dict.fromkeys(("theta_i", "phi_i", "theta_r", "phi_r", "brdf"), UNKNOWN)
@@ -257,7 +268,13 @@ def _no_numbers(lines: Sequence[str]) -> Proposal | None:
     place = header_in(lines, lambda cells: len(cells) > 1)
     if place is None:
         return None
-    out = Proposal(cells_of(lines[place[0]], place[1]))
+    return _unknown(cells_of(lines[place[0]], place[1]))
+
+
+def _unknown(header: list[str]) -> Proposal:
+    """A header of which no name is known."""
+    out = Proposal(header)
+    out.reasons = ["none of its names is known"]
     out.pairs = dict.fromkeys(("theta_i", "phi_i", "theta_r", "phi_r", "brdf"), UNKNOWN)
     return out
 

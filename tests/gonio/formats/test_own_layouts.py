@@ -11,7 +11,7 @@ import pytest
 
 from gonio import measurement
 from gonio.errors import DataError
-from gonio.formats import own_columns
+from gonio.formats import own_columns, own_guess
 from gonio.formats.reader import ANGLES
 from gonio.typing import Floats
 from tests.command_line import gonio, says
@@ -180,6 +180,31 @@ def test_convert_asks_and_writes_nothing_without_a_terminal(tmp_path: Path) -> N
     (tmp_path / "b.txt").write_text("30 0 20 180 0.5\n30 0 40 180 0.6\n")
     says(gonio(tmp_path, "convert", "b.txt", "--ask", expect=0).stdout, "they are #1 to #5", "theta_i=NAME")
     gonio(tmp_path, "convert", "b.txt", expect=2)
+
+
+@pytest.mark.parametrize(
+    ("header", "pairs"),
+    [
+        ("theta_s phi_s theta_v phi_v brdf", "theta_i=theta_s,phi_i=phi_s,theta_r=theta_v,phi_r=phi_v"),
+        ("theta_i phi_i theta_s phi_s brdf", "theta_i=theta_i,phi_i=phi_i,theta_r=theta_s,phi_r=phi_s"),
+        ("theta_l phi_l theta_v phi_v brdf", "theta_i=theta_l,phi_i=phi_l,theta_r=theta_v,phi_r=phi_v"),
+        ("AOI phi_i Viewing_angle View_az brdf", "theta_i=AOI,phi_i=phi_i,theta_r=Viewing_angle,phi_r=View_az"),
+    ],
+)
+def test_the_source_and_the_viewer_are_told_by_their_names(header: str, pairs: str) -> None:
+    data = f"{header}\n30 0 20 180 0.5\n30 0 40 180 0.6\n".encode()
+    told = own_guess.proposal(data, Path("a.txt"))
+    assert told is not None
+    assert told.text == pairs
+
+
+@pytest.mark.parametrize("value", ["0,314159", "550,5"])
+def test_names_of_another_language_are_the_table_s_names(value: str) -> None:
+    header = "Einfallswinkel;Azimut;Beobachtungswinkel;Azimut Detektor;Leuchtdichtefaktor"
+    told = own_guess.proposal((header + f"\n30,5;0,0;20,5;180,0;{value}" * 4).encode(), Path("a.csv"))
+    assert told is not None
+    assert told.header == header.split(";")
+    assert told.text == "theta_i=NAME,phi_i=NAME,theta_r=NAME,phi_r=NAME,brdf=NAME"
 
 
 @pytest.mark.parametrize("said", ["full red", "red", "RED", "full  Red"])
