@@ -8,7 +8,7 @@ import numpy as np
 from gonio_analysis.report.text import number
 
 from gonio import geometry
-from gonio_validation.papers import htsg_10, htsg_11, htsg_scans
+from gonio_validation.papers import htsg_6, htsg_10, htsg_11, htsg_scans
 from gonio_validation.papers.figure import Claim, FigureParameter, PaperFigure
 from gonio_validation.papers.htsg_scans import InstrumentScan, agreement, each, scan
 from gonio_validation.papers.htsg_surfaces import (
@@ -29,6 +29,8 @@ CERAMIC = HtsgSurface(sigma0_um=1.45, tau_um=13.2, ior="MgO", diffuse_albedo=0.9
 SURFACES = {7: ALUMINIUM, 8: ALUMINIUM, 9: CERAMIC}
 INCIDENCES = {7: (10.0, 45.0, 75.0), 8: (10.0, 30.0, 45.0, 60.0, 75.0), 9: (10.0, 45.0, 60.0, 75.0)}
 WAVELENGTH_NM = {7: 2000.0, 8: 500.0, 9: 500.0}
+_APART: dict[int, Any] = {6: htsg_6, 10: htsg_10, 11: htsg_11}
+"""Figures with a module of their own."""
 TITLES = {
     7: "HTSG Fig. 7: roughened aluminium at 2.0 µm",
     8: "HTSG Fig. 8: roughened aluminium at 0.5 µm",
@@ -37,14 +39,15 @@ TITLES = {
 
 
 def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
-    """The page of Fig. 7, 8, 9, 10 or 11."""
-    return {10: htsg_10.build, 11: htsg_11.build}[figure](progress) if figure > 9 else _build(figure, progress)
+    """The page of Fig. 6, 7, 8, 9, 10 or 11."""
+    return _APART[figure].build(progress) if figure in _APART else _build(figure, progress)
 
 
 def claims(figure: int) -> list[Claim]:
     """What the text says about a figure, judged by theory."""
-    if figure > 9:
-        return {10: htsg_10.claims, 11: htsg_11.claims}[figure]()
+    if figure in _APART:
+        found: list[Claim] = _APART[figure].claims()
+        return found
     return {7: _claims_7, 8: _claims_8, 9: _claims_9}[figure](scans(figure))
 
 

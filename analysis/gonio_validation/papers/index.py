@@ -1,6 +1,7 @@
 """Which figures of the papers can be made."""
 
 FIGURES = {
+    "htsg-6": "specular, directional diffuse and uniform diffuse: the parts of one surface",
     "htsg-7": "rough aluminium at 2.0 µm: a specular spike over a weak lobe",
     "htsg-8": "the same aluminium at 0.5 µm: off-specular lobes, and a spike at 75 degrees",
     "htsg-9": "magnesium oxide ceramic: uniform diffuse, and what emerges at grazing incidence",

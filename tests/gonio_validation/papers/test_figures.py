@@ -50,6 +50,17 @@ def judge(claims: list[Claim], expected: dict[str, bool | None]) -> None:
 # --- He, Torrance, Sillion and Greenberg --------------------------------------------------------------------------
 
 
+def test_fig_6_has_three_parts() -> None:
+    judge(
+        htsg.claims(6),
+        {
+            "contained within the specular cone": True,
+            "far from ideal diffuse": True,
+            "uniform diffuse (Lambertian)": True,
+        },
+    )
+
+
 def test_fig_7_spike_over_lobe() -> None:
     # the references are rounded to two digits: up to 3 %
     ratios = {s.theta_i_deg: s.spike_over_lobe for s in htsg.scans(7)}
