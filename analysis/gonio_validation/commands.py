@@ -90,7 +90,8 @@ def _bench() -> None:
 @bench.command()
 def models(
     out: Annotated[Path, typer.Option(help="Folder of the report.")],
+    sample: Annotated[Path | None, typer.Option(help="A measurement table: which model will do for it?")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few pairs: errors are right, times are rough.")] = False,
 ) -> None:
-    """Speed against error of every way of evaluating the models. Also the hard cases; prints the report's path last."""
-    _made("bench.speed_and_error", out, quick=quick, progress=console.note)
+    """Which model will do, and speed against error of every way of evaluating them. Prints the report's path last."""
+    _made("bench.speed_and_error", out, sample=sample, quick=quick, progress=console.note)

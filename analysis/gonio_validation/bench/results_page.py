@@ -1,4 +1,4 @@
-"""`index.html` of `gonio bench models`: targets, a section a quantity, hard cases, calls, and the machine."""
+"""`index.html` of `gonio bench models`: which model will do, a section a quantity, hard cases, calls, machine."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -52,9 +52,10 @@ TOLERANCES = (
     Column("", "", "{0[family]}: {0[way]}".format), Column("stated", "stated", _one_digit),
     Column("largest", "worst", _error), Column("points", "points"), Column("holds", "holds", verdict),
 )  # fmt: skip
-SPEEDS = (
-    Column("speed", "what"), Column("target", "target"),
-    Column("best", "", lambda t: f"{number(t['achieved'])} {t['unit']}"), Column("met", "time_met", verdict),
+RATIOS = (Column("time here", "what"), Column("ratio", "ratio", two_digits))
+FORMS = (
+    Column("form", "form"), Column("ns", "processor_ns", number), Column("misfit", "misfit", two_digits),
+    Column("off the nearest", "off_nearest", two_digits),
 )  # fmt: skip
 HARD = TableSection(
     "Hard cases", "hard_cases",
@@ -88,7 +89,7 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     s
         What `summary.json` holds.
     figures
-        One of a quantity, with its name (`Figure.model`), where it has one.
+        That of all models (`which_model.draw`), and one of a quantity where it has one, by name (`Figure.model`).
     """
     words = (
         "Every accuracy that an evaluation of ours states (He-Torrance's tolerance= among them), against the largest "
@@ -100,15 +101,14 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
         return part("Do the stated accuracies hold?", held(s["tolerances"], _holds), words, shown)
 
     drawn = {figure.model: figure for figure in figures}
-    first = next((q.name for q in s["families"] if q.name in drawn), "")
-    made_of: dict[str, Part] = {'section "Targets"': partial(_targets, s), 'section "Accuracies"': accuracies}
+    made_of: dict[str, Part] = {'section "Which model"': partial(_which_model, s), 'section "Accuracies"': accuracies}
     made_of[f'section "{HARD.title}"'] = lambda: of_part(s, HARD, held(s["hard_cases"], _holds))
     for q in s["families"]:
-        made_of[f'section "{q.title}"'] = partial(_quantity, q, drawn.get(q.name) if q.name != first else None)
+        made_of[f'section "{q.title}"'] = partial(_quantity, q, drawn.get(q.name))
     made_of |= {'section "Calls and start-up"': partial(_calls, s), 'section "Peers"': partial(_peers, s)}
     folds = [*parts(made_of), *_method(s)]
-    speeds = partial(listed, s["targets"], SPEEDS, (1, 2))
-    picture = [Figures((drawn[first],))] if first else []
+    ratios = partial(listed, s["ratios"], RATIOS, (1,))
+    picture = [Figures((drawn["which-model"],))] if "which-model" in drawn else []
     flags = s["machine"]["flags"]
     vectors = "AVX-512" if "avx512f" in flags else "AVX2, no AVX-512" if "avx2" in flags else "no AVX2"
     what = f", {s['machine']['cpu']}, {s['machine']['cpus']} threads, {vectors}."
@@ -116,7 +116,7 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     return frame.page(
         s["title"],
         made(s, what + rough),
-        frame.answer(parts({"the headline": partial(_lead, s)}), picture, parts({'table "Speeds"': speeds})),
+        frame.answer(parts({"the headline": partial(_lead, s)}), picture, parts({'table "Ratios"': ratios})),
         folds=folds,
         foot=FOOTER,
     )
@@ -127,35 +127,34 @@ def _holds(row: JsonObject) -> bool:
 
 
 def _lead(s: JsonObject) -> Paragraph:
-    hard, tolerances, targets = s["hard_cases"], s["tolerances"], s["targets"]
+    hard, tolerances = s["hard_cases"], s["tolerances"]
     words = (
         f"{sum(map(_holds, hard))} of {len(hard)} hard cases hold, and {sum(map(_holds, tolerances))} of"
         f" {len(tolerances)} stated accuracies."
     )
-    met = f"{sum(t['time_met'] for t in targets)} of {len(targets)} speeds are reached here."
-    return Paragraph(f"{words} {met}", "lead")
+    return Paragraph(" ".join([*(c.words for c in s["which_model"]), words]), "lead")
 
 
-def _targets(s: JsonObject) -> list[Block]:
+def _which_model(s: JsonObject) -> list[Block]:
     load, cpus = s["machine"]["load"], s["machine"]["cpus"]
     busy = f"; the load was {load[0]:.1f} on {cpus} processors when this run began" if load else ""
     words = (
-        "Targets are for two threads of an idle machine with AVX-512. Best: wall-clock time of several repeats, all "
-        f"arguments checked{busy}. Idle: processor time over threads, what an idle machine of this kind would take. "
-        "Ratios are of processor times. Errors are relative, over 1 + conditioning, the largest of grid and hard set."
+        "Each form is fitted to the sample by relative differences. Misfit is what is left of them, root mean square; "
+        f"ns is the processor time of one evaluation of the fitted model on this machine{busy}. ● marks the Pareto "
+        "front."
     )
-    without = {"processor_ns": None, "target_error": None, "achieved_error": None, "error_met": None}
-    columns = (
-        Column("", "what"),
-        Column("idle", "processor_ns", lambda ns: "" if ns is None else f"{number(ns / cpus)} ns"),
-        Column("error: allowed", "target_error", lambda e: "" if e is None else _one_digit(e)),
-        Column("largest", "", lambda t: "" if t["error_met"] is None else _error(t["achieved_error"])),
-        Column("held", "error_met", lambda met: "" if met is None else verdict(met)),
-    )  # fmt: skip
-    rows = [without | t for t in s["targets"]]
-    judged = [t for t in rows if t["error_met"] is not None]
-    result = f"errors: {held(judged, lambda t: bool(t['error_met']))}"
-    return part("Targets: errors, and an idle machine", result, words, listed(rows, columns, (1, 2, 3)))
+    tables = [
+        table(
+            c.sample,
+            [column.header for column in FORMS],
+            [[column.shown(getattr(one, column.key)) for column in FORMS] for one in c.candidates],
+            right=(1, 2, 3),
+            marks=["best" if one.on_front else "" for one in c.candidates],
+        )
+        for c in s["which_model"]
+    ]
+    lost = [facts((f"{c.sample}: {form}", why) for c in s["which_model"] for form, why in c.left_out.items())]
+    return part("Which model will do?", f"{len(tables[0].rows)} forms", words, *tables, *lost)
 
 
 def _quantity(q: QuantitySummary, figure: Figure | None) -> list[Block]:

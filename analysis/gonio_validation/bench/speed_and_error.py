@@ -8,10 +8,11 @@ from gonio_analysis.report import files
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.files import write_csv
 
+from gonio import measurement
 from gonio.typing import JsonObject
-from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, timing
+from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, timing, which_model
 from gonio_validation.bench.page import begun
-from gonio_validation.bench.quantity import BenchQuantity, QuantitySummary, Set, WaySummary, reference
+from gonio_validation.bench.quantity import BenchQuantity, PeerTime, QuantitySummary, Set, WaySummary, reference
 
 POINT_COLUMNS = (
     *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),
@@ -20,7 +21,12 @@ POINT_COLUMNS = (
 
 
 def make(
-    out: str | Path, *, quick: bool = False, command: str = "", progress: Callable[[str], None] = lambda text: None
+    out: str | Path,
+    *,
+    sample: str | Path | None = None,
+    quick: bool = False,
+    command: str = "",
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Path:
     """Measure every way of evaluating every model, and write the report: all of it or nothing.
 
@@ -28,6 +34,8 @@ def make(
     ----------
     out
         Folder of the report; an earlier report there is replaced.
+    sample
+        A measurement table that the models are compared on; a matt and a metallic sample if none is given.
     quick
         Fewer pairs and repeats: errors are the same, times are rough.
     command
@@ -43,20 +51,30 @@ def make(
     Raises
     ------
     ConfigError
-        The folder cannot be written, or holds something that is not a report.
+        The folder cannot be written, or holds something that is not a report; the table cannot be read.
+    DataError
+        No model can be fitted to the table.
     """
     with files.staged(out) as stage:
-        write(collect(quick=quick, command=command, progress=progress), stage.work)
+        write(collect(sample=sample, quick=quick, command=command, progress=progress), stage.work)
     return Path(out) / "index.html"
 
 
 def collect(
-    *, quick: bool = False, command: str = "", progress: Callable[[str], None] = lambda text: None
+    *,
+    sample: str | Path | None = None,
+    quick: bool = False,
+    command: str = "",
+    progress: Callable[[str], None] = lambda text: None,
 ) -> JsonObject:
     """Every number of the report, as `summary.json` holds it; parameters as `make`."""
     effort = timing.Effort(20_000, 3, 0.02) if quick else timing.Effort(1_000_000, 9, 0.4)
     started = timing.machine()
     states, others = peers.find()
+    samples = (
+        which_model.built_in() if sample is None else [which_model.Sample(Path(sample).stem, measurement.read(sample))]
+    )
+    chosen = [which_model.compared(one, effort, progress) for one in samples]
     found = evaluators.quantities()
     rows = []
     for quantity in found:
@@ -73,7 +91,8 @@ def collect(
         "machine": started,
         "reference": reference().made,
         "families": rows,
-        "targets": judged(rows, single, start),
+        "ratios": ratios(rows),
+        "which_model": chosen,
         "tolerances": tolerances(rows),
         "hard_cases": cases,
         "single_calls": single,
@@ -109,7 +128,8 @@ def write(summary: JsonObject, folder: Path) -> None:
     files.written(folder / "tables" / "hard_cases.csv", partial(_hard_table, summary))
 
     def draw() -> list[Figure]:
-        return [pareto.draw(q) for q in summary["families"] if len(q.ways) > 2]
+        fronts = [pareto.draw(q) for q in summary["families"] if len(q.ways) > 2]
+        return [which_model.draw(summary["which_model"]), *fronts]
 
     files.write_page(folder, summary["title"], partial(results_page.render, summary), lambda _: summary, draw)
 
@@ -132,67 +152,33 @@ def _points(families: Sequence[QuantitySummary]) -> Iterator[list[object]]:
             yield from ([row.get(column) for column in POINT_COLUMNS] for row in rows)
 
 
-# --- what is judged: speeds and errors against their targets, and the accuracies that ways state ------------------
+# --- what is judged: costs on this machine, and the accuracies that ways state -------------------------------------
 
 
-TARGETS = (
-    ("cook-torrance", "ours, vectors", 2.0, 1e-13),
-    ("cook-torrance", "ours, angles", 4.0, 1e-13),
-    ("blinn", "ours, vectors", 2.0, 1e-13),
-    ("blinn", "ours, angles", 4.0, 1e-13),
-    ("oren-nayar", "ours, vectors", 2.0, 1e-13),
-    ("oren-nayar", "ours, angles", 4.0, 1e-13),
-    ("he-torrance whole", "ours, tolerance 1e-12", 60.0, 1e-12),
-    ("he-torrance common", "ours, tolerance 1e-12", 25.0, 1e-12),
-    ("he-torrance common", "ours, tolerance 1e-6", 15.0, 1e-6),
-    ("he-torrance common", "ours, Mueller matrix", 150.0, 1e-11),
-    ("oren-nayar exact", "exact", 20_000.0, 1e-8),
-)
-"""Quantity, way, ns an evaluation on an idle AVX-512 machine with two threads, relative error over 1 + conditioning."""
-
-
-def judged(
-    quantities: Sequence[QuantitySummary], single: Sequence[JsonObject], start: Sequence[JsonObject]
-) -> list[JsonObject]:
-    """Every target with what was achieved: a time or a ratio of times, and the error of a way."""
-    ways = {q.name: {w.way: w for w in q.ways} for q in quantities}
+def ratios(quantities: Sequence[QuantitySummary]) -> list[JsonObject]:
+    """How many times longer others take than ours, on this machine."""
+    ways = {q.name: {w.way: w.time for w in q.ways} for q in quantities}
     titles = {q.name: q.title for q in quantities}
     out: list[JsonObject] = []
-    for name, way, ns, error in TARGETS:
-        w = ways[name][way]
-        target = f"{ns:,g} ns".replace(",", " ")
-        found = _target(f"{titles[name]}: {way}", target, w.time.best_ns, "ns", w.time.best_ns <= ns)
-        errors = {
-            "processor_ns": w.time.processor_ns, "target_error": error, "achieved_error": w.worst,
-            "error_met": w.worst is not None and w.worst <= error,
-        }  # fmt: skip
-        out.append(found | errors)
-
-    def ratio(what: str, name: str, slow: float, fast: float, least: float) -> None:
-        factor = slow / fast
-        out.append(_target(f"{titles[name]}: {what}", f"at least {least:g} times", factor, "times", factor >= least))
-
-    for name in ("he-torrance common", "he-torrance whole"):
-        if "64 terms" in ways.get(name, {}):
-            # by processor time: wall-clock times of a busy machine have no ratio
-            slow, fast = (ways[name][way].time.processor_ns for way in ("64 terms", "ours, tolerance 1e-12"))
-            ratio("public 64 terms / ours", name, slow, fast, 3.0)
-    if "Dr.Jit, float64" in ways.get("cook-torrance", {}):
-        # by wall clock: both use all processors, and what Dr.Jit's threads take is not in its processor time
-        slow, fast = (ways["cook-torrance"][way].time.best_ns for way in ("Dr.Jit, float64", "ours, vectors"))
-        ratio("Dr.Jit in float64 / ours, wall", "cook-torrance", slow, fast, 1.0)
-    slowest = max((s for s in single if s["model"] != "oren-nayar exact"), key=lambda s: float(s["best_us"]))
-    for what, achieved, most, unit in (
-        (f"One geometry from Python ({slowest['model']})", slowest["best_us"], 20.0, "µs"),
-        ("import gonio.models", max(s["import_s"] for s in start), 0.3, "s"),
-        ("Import and first evaluation, once cached", max(s["together_s"] for s in start), 1.2, "s"),
-    ):
-        out.append(_target(what, f"{most:g} {unit}", achieved, unit, achieved <= most))
+    for name, slow, fast in COMPARED:
+        times = ways.get(name, {})
+        if slow in times and fast in times:
+            # by processor time, as wall-clock times of a busy machine have no ratio; but what Dr.Jit's threads take is
+            # not in its processor time
+            kind = "best_ns" if isinstance(times[slow], PeerTime) else "processor_ns"
+            ratio = getattr(times[slow], kind) / getattr(times[fast], kind)
+            out.append({"what": f"{titles[name]}: {slow} / {fast}", "ratio": ratio, "of": kind})
     return out
 
 
-def _target(what: str, target: str, achieved: float, unit: str, met: bool) -> JsonObject:
-    return {"what": what, "target": target, "achieved": achieved, "unit": unit, "time_met": met}
+COMPARED = (
+    ("he-torrance common", "64 terms", "ours, tolerance 1e-12"),
+    ("he-torrance whole", "64 terms", "ours, tolerance 1e-12"),
+    ("cook-torrance", "plain numpy", "ours, vectors"),
+    ("cook-torrance", "Dr.Jit, float64", "ours, vectors"),
+    ("oren-nayar exact", "exact", "functional"),
+)
+"""Quantity, and two ways whose times are divided."""
 
 
 def tolerances(quantities: Sequence[QuantitySummary]) -> list[JsonObject]:

@@ -28,6 +28,7 @@ from gonio_maps.report import map_change, map_page
 from gonio_validation import papers, verify
 from gonio_validation.bench import results_page, timing
 from gonio_validation.bench.quantity import QuantitySummary, TimeSummary, WaySummary
+from gonio_validation.bench.which_model import Candidate, Compared
 from gonio_validation.papers import figure_page
 from gonio_validation.papers.figure import Claim
 from gonio_validation.papers.pictures import catalogue
@@ -166,7 +167,7 @@ def papers_pictures(folder: Path) -> Page:
 def told_of_models(ways: int = 1) -> dict[str, Any]:
     time = TimeSummary(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1)
     way = WaySummary("exact", True, False, "as printed", 1e-12, {}, time, True, False)
-    target = {"what": "phong", "target": "10 ns", "achieved": 8.0, "unit": "ns", "time_met": True}
+    chosen = Compared("clay", [Candidate("Phong", 0.1, 4.0, 0.0, True)], {"Blinn": "too few values"})
     fine = {"points": 3, "holds": True}
     none = dict.fromkeys(("nan", "infinite", "negative"), 0)
     digits = {"expected_digits": 15.0, "achieved_digits": 15.5, "warning": False, "note": ""}
@@ -176,7 +177,8 @@ def told_of_models(ways: int = 1) -> dict[str, Any]:
     return {
         "title": "Speed and error", **MADE, "quick": True, "machine": timing.machine(), "hard_cases": [hard],
         "tolerances": [loose],
-        "targets": [target], "families": [QuantitySummary("phong", "Phong", "A lobe.", "pairs", [way] * ways)],
+        "ratios": [{"what": "phong", "ratio": 3.0, "of": "processor_ns"}], "which_model": [chosen],
+        "families": [QuantitySummary("phong", "Phong", "A lobe.", "pairs", [way] * ways)],
         "hand_over": None, "start_up": [start], "peers": [{"peer": "nobody", "state": "not installed"}],
         "single_calls": [{"model": "phong", "call": "brdf()", "best_us": 1.0, "median_us": 2.0}],
         "reference": {"made_by": "a tool", "with": "60 digits", "grid": "even", "condition": "relative"},

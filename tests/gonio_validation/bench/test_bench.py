@@ -25,6 +25,7 @@ from gonio_validation.bench import (
     results_page,
     speed_and_error,
     timing,
+    which_model,
 )
 from gonio_validation.bench.quantity import (
     BenchQuantity,
@@ -120,7 +121,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     case = hard_cases._Case()
     case.add("cook-torrance", 1.0, 1.0, 0.0, 13.0)
     monkeypatch.setattr(hard_cases, "judged", lambda found, huge: [case.summary("normal incidence")])
-    monkeypatch.setattr(speed_and_error, "TARGETS", [t for t in speed_and_error.TARGETS if t[0] == "cook-torrance"])
+    monkeypatch.setattr(which_model, "FORMS", [f for f in which_model.FORMS if f.label in ("Lambert", "EON")])
     start = {"model": "CookTorrance", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
     monkeypatch.setattr(timing, "start_up", lambda repeats: [start])
     monkeypatch.setattr(peers, "PACKAGES", {"nobody": "gonio_nobody"})
@@ -144,9 +145,16 @@ def test_report(tmp_path: Path) -> None:
             assert w["way"] in page
             assert w["time"]["best_ns"] > 0
             assert all(e["median"] <= e["p99"] <= e["max"] for e in w["errors"].values())
-    timed, ratio = summary["targets"][0], summary["targets"][-1]
-    assert list(ratio) == ["what", "target", "achieved", "unit", "time_met"]
-    assert list(timed) == [*ratio, "processor_ns", "target_error", "achieved_error", "error_met"]
+    assert [r["what"] for r in summary["ratios"]] == ["Cook-Torrance: plain numpy / ours, vectors"]
+    assert summary["ratios"][0]["ratio"] > 1.0
+    matt, metal = summary["which_model"]
+    for sample in (matt, metal):
+        assert [c["form"] for c in sample["candidates"]] == ["Lambert", "EON"]
+        assert all(c["processor_ns"] > 0.0 for c in sample["candidates"])
+        assert any(c["on_front"] and c["off_nearest"] == 0.0 for c in sample["candidates"])
+        assert sample["sample"] in page
+    flat, rough = matt["candidates"]
+    assert rough["misfit"] < flat["misfit"]  # EON is a model of rough matt surfaces, and Lambert's law at sigma = 0
     assert summary["peers"] == [{"peer": "nobody", "state": "not installed"}]
     steps = summary["families"][1]["ways"][2:]
     errors = [w["errors"]["grid"]["max"] for w in steps]
@@ -155,6 +163,18 @@ def test_report(tmp_path: Path) -> None:
     with open(out / "tables" / "points.csv", encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert {r["way"] for r in rows} == {w["way"] for f in summary["families"] for w in f["ways"]}
+
+
+def test_which_model_is_said_by_misfit_and_cost() -> None:
+    exact = which_model.Candidate("exact", 0.001, 5000.0, 0.0, True)
+    close = which_model.Candidate("functional", 0.0051, 50.0, 0.004, True)
+    far = which_model.Candidate("Lambert", 0.2, 3.0, 0.2, True)
+    said = which_model.Compared("Clay", [far, close, exact]).words
+    assert said == "Clay: exact is nearest, 0.10 % off; functional is within 0.40 % of it at 1.0 % of the cost."
+    said = which_model.Compared("Clay", [far, exact]).words
+    first = "Clay: exact is nearest, 0.10 % off, and nothing cheaper is within 2.0 % of it"
+    assert said == f"{first}: Lambert is 20 % off at 0.060 % of the cost."
+    assert which_model.Compared("Clay", [exact]).words == f"{first}."
 
 
 def test_a_tolerance_that_is_missed_is_said() -> None:
