@@ -332,7 +332,9 @@ def written_as(path: Path, format: str | None = None) -> Format:
     return chosen
 
 
-def write_model(model: Model, path: str | Path, *, name: str, format: str | None = None) -> list[str]:
+def write_model(
+    model: Model, path: str | Path, *, name: str, format: str | None = None, exchanged: bool = False
+) -> list[str]:
     """Write a model as the file of a renderer, at the directions that the format wants.
 
     Parameters
@@ -343,6 +345,8 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
         As for `write`; the formats that take models are rgl (Mitsuba 3), klems (Radiance) and merl.
     name
         The sample's name in the file.
+    exchanged
+        With source and detector exchanged, for who takes the first direction of a file for the viewer's: Mitsuba.
 
     Returns
     -------
@@ -357,6 +361,7 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
         The model depends on the sample's azimuth, or a value is not finite.
     """
     from gonio.models import examine
+    from gonio.models.arrays import Exchanged
 
     path = Path(path)
     chosen = formats.named(format) if format else formats.of_name(path)
@@ -367,7 +372,7 @@ def write_model(model: Model, path: str | Path, *, name: str, format: str | None
     values = model.brdf(0.9, turned, np.array([0.2, 0.9, 1.2]), turned + np.array([0.5, 2.0, np.pi]))
     if not np.allclose(values, values[0], rtol=1e-6, atol=0):
         raise DataError(f"{path}: the model depends on the sample's azimuth; {chosen.title} is written isotropic only")
-    chosen.write_model(model, name, path)
+    chosen.write_model(Exchanged(model) if exchanged else model, name, path)
     too_bright = examine(model).too_bright
     remarks = [f"{too_bright}: a renderer that follows light may never end with it"] if too_bright else []
     if _goes_back(model):

@@ -153,7 +153,8 @@ def _model(source: str, target: Path, to: str | None) -> tuple[list[str], str]:
         raise ConfigError(f"{source}: is a model; --to datacite takes a run, or its table")
     model, given = load_model(source)
     plain = _RENDERERS.get(to, to) if to else None
-    return measurement.write_model(model, target, name=given.name, format=plain), given.name
+    exchanged = to == "mitsuba"  # its first direction is the viewer's
+    return measurement.write_model(model, target, name=given.name, format=plain, exchanged=exchanged), given.name
 
 
 def _table(

@@ -1,7 +1,7 @@
 """Models that are written in numpy: what somebody's own model needs no compiled kernel for."""
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from gonio.errors import ArgumentError
 from gonio.models import engine
 from gonio.models.engine import Geometry
 from gonio.models.model import Model
-from gonio.models.parameters import checked_wavelength
+from gonio.models.parameters import Parameters, checked_wavelength
 from gonio.typing import ArrayLike, Floats
 
 GRAZING = 1e-12
@@ -70,3 +70,23 @@ class ArrayModel(Model):
             raise ArgumentError(f"{self.name}: evaluate gave the shape {values.shape} for {int(above.sum())} pairs")
         out[above] = values
         return out
+
+
+class Exchanged(ArrayModel):
+    """A model with source and detector exchanged: itself where it is reciprocal."""
+
+    name: ClassVar[str] = "exchanged"
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+
+    @property
+    def parameters(self) -> Parameters:
+        return self.model.parameters
+
+    @property
+    def convention(self) -> str:
+        return f"{self.model.convention} With source and detector exchanged."
+
+    def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
+        return np.asarray(self.model.brdf_vectors(omega_r, omega_i, wavelength_nm=wavelength_nm))

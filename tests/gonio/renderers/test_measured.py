@@ -4,7 +4,7 @@ import json
 import math
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,10 +13,11 @@ import pytest
 
 from gonio import geometry, measurement
 from gonio.cli.tables import convert
+from gonio.config import to_toml
 from gonio.errors import ConfigError, DataError
 from gonio.formats.reader import table
 from gonio.formats.rgl import RglMeasured, tensors
-from gonio.models import CookTorrance, Lambert, Model, OrenNayar
+from gonio.models import CookTorrance, Lambert, Model, OrenNayar, build
 from gonio.renderers import channels, measured
 from gonio.renderers.interpolated import Interpolated
 from gonio.typing import Floats
@@ -231,6 +232,28 @@ def test_mitsuba_shows_the_radiance_that_the_table_says(tmp_path: Path) -> None:
             shown = flat(mitsuba, tmp_path / f"{name}.bsdf", *angles.tolist())
             # parallel light on a plane has no noise: what is left is float32, and nodes that rows share
             np.testing.assert_allclose(shown, values * math.cos(angles[0]), rtol=0.01)
+
+
+COLOURED = {"albedo": {"red": 0.7, "green": 0.4, "blue": 0.1}, "sigma_deg": 25.0}
+ONE_SIDED = {"k_d": 0.3, "k_s": 0.4, "exponent": 8}
+
+
+@pytest.mark.parametrize(("name", "parameters"), [("oren-nayar", COLOURED), ("phong", ONE_SIDED)])
+def test_mitsuba_shows_the_radiance_that_a_sample_file_says(
+    name: str, parameters: dict[str, Any], tmp_path: Path
+) -> None:
+    """A sample in three channels; and a model that is not reciprocal, so that source and viewer must not be changed."""
+    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (pip install gonio[peers])")
+    mitsuba.set_variant("scalar_rgb")
+    (tmp_path / "m.toml").write_text(to_toml({"name": "m", "model": name, "parameters": parameters}), encoding="utf-8")
+    convert(str(tmp_path / "m.toml"), tmp_path / "m.bsdf", None, "mitsuba")
+    for theta_i, theta_r, dphi in ((0.3, 0.8, 2.9), (0.9, 0.2, 1.0), (0.5, 0.5, math.pi)):
+        right = []
+        for channel in ("red", "green", "blue"):
+            plain = {k: v[channel] if isinstance(v, dict) else v for k, v in parameters.items()}
+            right.append(build(name, plain).brdf(theta_i, dphi, theta_r, 0.0) * math.cos(theta_i))
+        shown = flat(mitsuba, tmp_path / "m.bsdf", theta_i, theta_r, dphi)
+        np.testing.assert_allclose(shown, right, rtol=0.01)  # straight lines between 64 incidences
 
 
 def test_radiances_file_holds_averages_over_patches(tmp_path: Path) -> None:
