@@ -73,6 +73,6 @@ SECTIONS = (
         "states",
         lambda d, figures: [] if d.ratios is None else section(d.ratios, figures.get("states", ())),
         lambda d, facts: [] if d.ratios is None else draw(d.ratios, d.name, facts.slug),
-        lambda d: {} if d.ratios is None else d.ratios.summary(),
+        lambda d: None if d.ratios is None else d.ratios.summary(),
     ),
 )
