@@ -46,6 +46,8 @@ Scanned = Literal["theta_r", "theta_i"]
 Normalise = Literal["mirror", "max", "model"]
 
 MOST_CURVES = 6
+CONTINUOUS = np.radians(3.0)
+"""What one direction's polar angles spread at most: encoders land some tenths of a degree beside their goal."""
 DARK_MIRROR = 2.5
 """A curve that reaches this many times its mirror value is not divided by it if it peaks on the retro side, or if that
 value is below the median too: an off-specular peak beyond a bright mirror direction is neither."""
@@ -138,13 +140,26 @@ def curves(data: Observations) -> list[Curve]:
         here = inside[data.states[inside] == state] if data.states.size else inside
         if state != UNPOLARISED and not state.islower():
             continue
-        by_incidence = groups(at.theta_i, at.phi_i, here)
-        by_view = groups(at.theta_r, at.phi_r, here)
+        by_incidence = _at_one_angle(at.theta_i, groups(at.theta_i, at.phi_i, here))
+        by_view = _at_one_angle(at.theta_r, groups(at.theta_r, at.phi_r, here))
         if len(by_view) * 3 <= len(by_incidence):  # the source was moved, in steps finer than the detector's
             out += _curves(data, by_view, "theta_i", side, state)
         else:
             out += _curves(data, by_incidence, "theta_r", side, state)
     return sorted(out, key=lambda c: (c.scanned, round(np.degrees(c.parameter), 1), c.phi_i, c.state))
+
+
+def _at_one_angle(theta: Floats, chains: list[Ints]) -> list[Ints]:
+    """The groups of `geometry.groups`; one that goes through many angles without a step, as of files that state every
+    half vector (MERL), becomes those about every tenth degree."""
+    out = []
+    for chain in chains:
+        if np.ptp(theta[chain]) <= CONTINUOUS:
+            out.append(chain)
+            continue
+        about = (chain[np.abs(theta[chain] - np.radians(angle)) <= SAME_ANGLE] for angle in range(0, 90, 10))
+        out += [rows for rows in about if rows.size]
+    return out
 
 
 def _curves(data: Observations, groups: list[Ints], scanned: Scanned, side: Floats, state: str) -> list[Curve]:

@@ -124,3 +124,17 @@ def test_selection_prefers_curves_with_a_mirror_direction() -> None:
     chosen = selection(curves(observations(pd.concat([measure(GLOSS, incidences=tuple(np.arange(10.0, 70.0, 2.5)))]))))
     assert len(chosen) == MOST_CURVES
     assert all(c.mirror is not None for c in chosen)
+
+
+def test_angles_without_a_step_are_curves_of_every_tenth_degree() -> None:
+    """Files that state every half vector (MERL) have incidences 0.3 degrees apart: one chain, and no one incidence."""
+    rows = [
+        (theta_i, 0.0, abs(theta_r), 180.0 * (theta_r >= 0), 0.1)
+        for theta_i in np.arange(0.0, 75.0, 0.3)
+        for theta_r in np.arange(-60.0, 61.0, 5.0)
+    ]
+    frame = pd.DataFrame(rows, columns=["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "brdf"])
+    frame = frame.assign(wavelength_nm=550.0, polarisation="unpolarised", u_brdf=np.nan, u_random=np.nan, flag="")
+    found = curves(observations(frame))
+    assert [round(math.degrees(c.parameter) / 10.0) for c in found] == [0, 1, 2, 3, 4, 5, 6, 7]
+    assert all(abs(math.degrees(c.parameter) - 10 * k) < 0.4 for k, c in enumerate(found))
