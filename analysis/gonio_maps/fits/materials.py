@@ -169,8 +169,14 @@ def _known(wavelength_nm: float) -> float:
 
 
 def _k_means(own: Floats, u: Floats, count: int) -> Whole:
-    """The group of each pixel, by parameters in units of their uncertainties: the best of several tries."""
-    weight, rng = 1.0 / u**2, np.random.default_rng(count)
+    """The group of each pixel, by parameters in units of their uncertainties: the best of several tries.
+
+    What is not known of a pixel (NaN) does not count there.
+    """
+    known = np.isfinite(own) & np.isfinite(u)
+    weight = np.where(known, 1.0 / np.where(known, u, 1.0) ** 2, 0.0)
+    own = np.where(known, own, np.nanmedian(np.where(known, own, np.nan), axis=0))
+    rng = np.random.default_rng(count)
     tries = [_grouped(own, weight, count, rng) for _ in range(TRIES if count > 1 else 1)]
     return min(tries, key=lambda found: found[1])[0]
 
@@ -194,7 +200,9 @@ def _grouped(own: Floats, weight: Floats, count: int, rng: np.random.Generator) 
             break
         for kind in np.unique(member):
             of = member == kind
-            centres[kind] = (weight[of] * own[of]).sum(axis=0) / weight[of].sum(axis=0)
+            total = weight[of].sum(axis=0)
+            centre = (weight[of] * own[of]).sum(axis=0) / np.where(total > 0.0, total, 1.0)
+            centres[kind] = np.where(total > 0.0, centre, centres[kind])
     return member, float(every.min(axis=0).sum())
 
 
@@ -219,7 +227,7 @@ def variables(
     """
     mixture, (pixels, own, u) = Mixture(plan), _drawn(map_file, parts, plan)
     if len(own) < 2 * (count or 1):
-        raise DataError(f"{map_file.path}: {len(own)} pixels with all parameters known are too few for materials")
+        raise DataError(f"{map_file.path}: {len(own)} pixels with a parameter that is known are too few for materials")
     wanted = _best_count(mixture, pixels, own, u, say) if count is None else count
     materials = mixture.found(pixels, own, u, wanted)
     if len(materials) < wanted:
@@ -268,12 +276,12 @@ def _pixels(map_file: MapFile, tile: Tile, plan: PixelPlan) -> PixelValues:
 
 
 def _drawn(map_file: MapFile, parts: Parts, plan: PixelPlan) -> tuple[PixelValues, Floats, Floats]:
-    """Some pixels whose parameters are known, evenly drawn over the map, with parameters and uncertainties."""
+    """Some pixels of which a parameter is known, evenly drawn over the map, with parameters and uncertainties."""
 
     def known(tile: Tile) -> tuple[Whole, Floats, Floats]:
         found = parts.read(tile, *(f"{p}{n}" for n in plan.columns for p in ("", "u_")))
         own, u = (np.stack([found[f"{p}{n}"].ravel() for n in plan.columns], axis=1) for p in ("", "u_"))
-        good = np.flatnonzero((np.isfinite(own) & np.isfinite(u)).all(axis=1))
+        good = np.flatnonzero((np.isfinite(own) & np.isfinite(u)).any(axis=1))
         return good, own[good], u[good]
 
     every = map_file.tiles()
@@ -290,7 +298,7 @@ def _drawn(map_file: MapFile, parts: Parts, plan: PixelPlan) -> tuple[PixelValue
             owns.append(own[of])
             us.append(u[of])
     if not pixels:
-        raise DataError(f"{map_file.path}: no pixel has all its parameters known: there are no materials to find")
+        raise DataError(f"{map_file.path}: no pixel has a parameter that is known: there are no materials to find")
     joined = (np.concatenate([getattr(one, name) for one in pixels]) for name in ("x_mm", "y_mm", "values", "u"))
     return PixelValues(*joined), np.concatenate(owns), np.concatenate(us)
 

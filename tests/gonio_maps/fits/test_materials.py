@@ -10,6 +10,7 @@ import pytest
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_maps.files import MapFile
 from gonio_maps.fits import fits
+from gonio_maps.fits.materials import _k_means
 
 from gonio.errors import ConfigError, DataError
 from tests.command_line import gonio
@@ -62,6 +63,38 @@ def test_three_paints_are_told_apart_and_known(tmp_path: Path, materials: str, c
         # chi-square of 9600 values or more is uncertain by 1.5 %, and all was drawn at random
         assert found.array("material_chi_square") == pytest.approx(np.ones(3), abs=0.06)
         assert found.array("membership_chi_square").mean() == pytest.approx(1.0, abs=0.03)
+
+
+def test_pixels_are_brought_together_by_what_is_known_of_them() -> None:
+    """A matt material leaves its facets' slope unknown: what is known sets its pixels apart from a glossy one's."""
+    rng = np.random.default_rng(5)
+    glossy, matt = (np.tile(one, (40, 1)) + 0.01 * rng.standard_normal((40, 2)) for one in ([0.2, 0.1], [0.9, 0.7]))
+    matt[:, 0] = np.nan
+    u = np.full((80, 2), 0.01)
+    u[40:, 0] = np.nan
+    member = _k_means(np.concatenate([glossy, matt]), u, 2)
+    assert len(set(member[:40].tolist())) == len(set(member[40:].tolist())) == 1
+    assert member[0] != member[-1]
+
+
+@pytest.mark.slow
+def test_a_matt_and_a_glossy_material_are_told_apart(tmp_path: Path) -> None:
+    """A matt one's pixels lie at the bound s = 0, and tell no slope: none of them has all its parameters known."""
+    matt = {"s": 0.0, "d": 1.0, "m": 0.3, "diffuse_albedo": 0.7, "ior": 1.5}
+    write(tmp_path / "map.h5", lambda x, y: matt if x > 0 else PAINTS[2], rows=12, cols=16, noise=0.03, common=0.0)
+    said: list[str] = []
+    fits.make(
+        tmp_path / "map.h5", tmp_path / "fits.h5", FitRequest("cook-torrance"), materials="auto",
+        count=lambda a, b: None, say=said.append,
+    )  # fmt: skip
+    assert said[-1].endswith("; 2 are taken")
+    with MapFile(tmp_path / "fits.h5") as found:
+        member = found.array("membership")
+        assert len(np.unique(member[:, :8])) == len(np.unique(member[:, 8:])) == 1
+        assert member[0, 0] != member[0, -1]
+        kind = int(member[0, -1])
+        pi_f = found.array("material_diffuse_albedo")[kind]
+        assert abs(pi_f - 0.7) < 4 * found.array("u_material_diffuse_albedo")[kind]
 
 
 @pytest.mark.slow
