@@ -148,10 +148,10 @@ def test_micrometres_in_a_column_of_nanometres_are_refused(tmp_path: Path, nm: f
 
 
 def test_json_of_another_kind_is_not_called_bird(tmp_path: Path) -> None:
-    other = {"$schema": "s", "metadata": {"name": "x"}, "brdf": {"lookupTable": [[5e-7, 0.0, 0.0, 0.1]]}}
-    (tmp_path / "a.xompt").write_text(json.dumps(other), encoding="utf-8")
+    other = {"$schema": "s", "metadata": {"name": "x"}, "brdf": {"values": [0.1]}}
+    (tmp_path / "a.other").write_text(json.dumps(other), encoding="utf-8")
     with pytest.raises(DataError, match="is in no format known"):
-        formats.of_content((tmp_path / "a.xompt").read_bytes(), tmp_path / "a.xompt")
+        formats.of_content((tmp_path / "a.other").read_bytes(), tmp_path / "a.other")
     (tmp_path / "a.json").write_text(json.dumps(other), encoding="utf-8")
     with pytest.raises(
         DataError, match=r"""a\.json: is JSON, and not of BiRD.*keys are '\$schema', 'metadata', 'brdf'"""

@@ -304,7 +304,8 @@ def test_a_trap_that_is_none_is_refused(bench: Path, tmp_path: Path) -> None:
 
 def test_a_rig_that_turns_its_reference_into_the_beam_does_so() -> None:
     """Nobody is asked to put it into the holder, where it would not be what the flats show."""
-    bench = MagicMock(spec=["description", "lamp", "present"])
+    bench = MagicMock(spec=["description", "lamp", "present", "rig"])
+    bench.rig = bench
     bench.description.reference.how = "axis"
     calibrate_camera.put(bench, "reference", yes=False)
     for what in ("trap", "edge"):
