@@ -7,6 +7,9 @@ started for one frame, and stopped after it, with every automatic function off.
 
 import contextlib
 import os
+import signal
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
@@ -86,7 +89,8 @@ class GenICamCamera:
             for path in self._producers():
                 self._harvester.add_file(str(path))
             self._harvester.update()
-            self._camera = self._harvester.create(self._chosen())
+            with _keeping_ctrl_c():
+                self._camera = self._harvester.create(self._chosen())
             self._set_up()
         except self._failures as error:
             self.__exit__()
@@ -271,6 +275,18 @@ class GenICamCamera:
             if (node := self._node(name, "RW")) is not None:
                 return node
         raise DeviceError(f"the {self._who} has no feature {' or '.join(names)} that can be set")
+
+
+@contextlib.contextmanager
+def _keeping_ctrl_c() -> Iterator[None]:
+    """harvesters takes SIGINT for itself where a camera is made: the run would no longer be ended by it."""
+    here = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if here:
+            signal.signal(signal.SIGINT, before)
 
 
 def row_bytes(name: str, width: int) -> int:

@@ -1,6 +1,7 @@
 """GenICam cameras: the committee's own virtual camera through the unmodified harvesters, and a twin that misbehaves."""
 
 import math
+import signal
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -106,7 +107,9 @@ def test_frames_come_through_the_real_library_and_producer(monkeypatch: pytest.M
         )
 
     monkeypatch.setattr(core.Harvester, "create", create)
+    before = signal.getsignal(signal.SIGINT)
     with virtual() as camera:
+        assert signal.getsignal(signal.SIGINT) is before, "Ctrl-C no longer ends the run"
         frames = [camera.capture(EXPOSURE_S) for _ in range(2)]
     for frame in frames:
         assert frame.mosaic.shape == (400, 400)

@@ -145,12 +145,13 @@ def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
 
 @pytest.mark.parametrize("stops", [[1], [5], [1, 1, 2]])
 def test_an_interrupted_run_resumes_to_the_same(measure: Measure, stops: list[int], whole: list[StepRecord]) -> None:
+    before = signal.getsignal(signal.SIGINT)
     for number, after in enumerate(stops):
         rig = Plugin()
         with pytest.raises(Interrupted, match="--resume"):
             measure("cut", rig=rig, resume=bool(number), progress=StopAfter(after))
         assert rig.opened[0].log[-2:] == ["off", "park"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
     run = measure("cut", resume=True)
     assert list(run.steps()) == whole
     assert [e["event"] for e in run.events()].count("interrupted") == len(stops)
