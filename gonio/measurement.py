@@ -40,7 +40,7 @@ import numpy as np
 from gonio import formats, polarisation
 from gonio.disk import is_stream, only_file
 from gonio.errors import ConfigError, DataError, GonioError, os_error_as
-from gonio.formats import channels, native, own_columns, own_guess, rt300s
+from gonio.formats import channels, native, own_columns, own_guess, own_pairs, rt300s
 from gonio.formats.native import check, check_columns, meta_path, uncertainty
 from gonio.formats.reader import (
     ANGLES,
@@ -85,8 +85,8 @@ def read(
     sample
         Which sample to take from a file that holds several; without it all are there, told apart by a column `sample`.
     columns
-        The file's own names and units of the columns of a CSV or a workbook made by hand:
-        `{"theta_i": "ti:rad", "brdf": "R:factor"}` (`gonio.formats.own_columns`). Without it those in
+        The file's own names and units of the columns of a text, a workbook or a Parquet file made by hand:
+        `{"theta_i": "ti:rad", "brdf": "R:factor"}` (`gonio.formats.own_pairs`). Without it those in
         `<name>.columns.toml` beside the file, if it is there.
 
     Raises
@@ -146,12 +146,14 @@ def _parsed(file: BinaryIO, path: Path, format: str | None, columns: Mapping[str
     try:
         return _table_in(file, path, format, columns)
     except DataError as error:
-        remedy = _remedy(file, path, columns) if format in (None, "gonio", "xlsx") else ""
+        remedy = _remedy(file, path, columns) if format in (None, *_OWN) else ""
         if not remedy:
             raise
         raise DataError(f"{error}; {remedy}") from error
 
 
+_OWN = ("gonio", "xlsx", "parquet")
+"""Formats whose columns may have names of their maker's own."""
 _MOST_GUESSED = 2**24
 """Bytes of a table that is read a second time, to say how."""
 
@@ -161,8 +163,8 @@ def _remedy(file: BinaryIO, path: Path, columns: Mapping[str, str] | None) -> st
     if _size(file) > _MOST_GUESSED:
         return ""
     data = file.read()
-    given = columns if columns is not None else own_columns.beside(path)
-    of_others = [f for f in formats.all_formats().values() if f.name not in ("gonio", "xlsx")]
+    given = columns if columns is not None else own_pairs.beside(path)
+    of_others = [f for f in formats.all_formats().values() if f.name not in _OWN]
     if given is None and any(f.sniff(data[: formats.SNIFFED_BYTES]) for f in of_others):
         return ""
     found, read_so = proposed(data, path, given)
@@ -170,7 +172,7 @@ def _remedy(file: BinaryIO, path: Path, columns: Mapping[str, str] | None) -> st
         return ""
     names = ", ".join(repr(name[:40]) for name in found.header[:16])
     unknown = "" if found.whole else f" ({own_guess.UNKNOWN}: one of the file's columns {names}, or a number)"
-    beside = f", or write {own_columns.beside_path(path).name} beside it" if own_columns.owns(path) else ""
+    beside = f", or write {own_pairs.beside_path(path).name} beside it" if own_pairs.owns(path) else ""
     return f"to read it as it is, without its other columns: {found.line(path)}{unknown}{beside}"
 
 
@@ -182,36 +184,36 @@ def proposed(
     if found is None or not found.whole:
         return found, None
     try:
-        return found, _table_in(io.BytesIO(data), path, None, own_columns.pairs(found.text))
+        return found, _table_in(io.BytesIO(data), path, None, own_pairs.pairs(found.text))
     except GonioError as error:
         return found, error
 
 
 def _table_in(file: BinaryIO, path: Path, format: str | None, columns: Mapping[str, str] | None) -> DataFrame:
     where, stored = "columns", columns
-    blank = own_columns.blank_beside(path)
-    if columns is None and blank is None and (stored := own_columns.beside(path)) is not None:
-        where = str(own_columns.beside_path(path))
-    if stored is not None and format in (None, "gonio", "xlsx"):
+    blank = own_pairs.blank_beside(path)
+    if columns is None and blank is None and (stored := own_pairs.beside(path)) is not None:
+        where = str(own_pairs.beside_path(path))
+    if stored is not None and format in (None, *_OWN):
         own = own_columns.read(_within(file, path, native.FORMAT).read(), path, stored, where)
         with np.errstate(all="ignore"):
             frame = native.of_columns(own.columns, own.lines, path)
         return _complete(one_value_a_direction(frame, own.stated_deg, path), path, native.FORMAT, own.notes)
     if columns is not None:
         raise ConfigError(
-            f"{path}: columns are named in CSV files and workbooks made by hand, and {format} files are none"
+            f"{path}: columns are named in texts, workbooks and Parquet files made by hand, and {format} files are none"
         )
     chosen = formats.named(format) if format else formats.of_content(file.read(formats.SNIFFED_BYTES), path)
     if blank is not None and chosen is not rt300s.FORMAT:
         raise ConfigError(
-            f"{own_columns.beside_path(path)}: a blank is subtracted from RT-300S workbooks alone, and {path} is "
+            f"{own_pairs.beside_path(path)}: a blank is subtracted from RT-300S workbooks alone, and {path} is "
             f"{chosen.title}"
         )
     _within(file, path, chosen)
     content: Any = file if chosen.in_pieces else file.read()
     with np.errstate(all="ignore"):  # absurd numbers overflow to what `check` then names
         frame = chosen.read(content, path) if blank is None else rt300s.read(content, path, blank)
-    return _complete(frame, path, chosen)
+    return _complete(frame, path, chosen, own_pairs.not_heeded(path, chosen.title) if blank is None else ())
 
 
 def _within(file: BinaryIO, path: Path, chosen: Format) -> BinaryIO:
@@ -446,7 +448,9 @@ def of_one(spec: str | Path, how: Reading | None = None) -> tuple[str, DataFrame
     """The one sample of these, and its name; a `ConfigError` where there are several."""
     found = tables(spec, how)
     if len(found) > 1:
-        raise ConfigError(f"{spec} holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}")
+        part = channels.incomplete(found, str(spec))
+        several = f"holds {len(found)} samples: name one as {spec}:SAMPLE, of: {'; '.join(found)}"
+        raise ConfigError(f"{spec}: {part}" if part else f"{spec} {several}")
     return next(iter(found.items()))
 
 
@@ -564,7 +568,8 @@ def _choose(frame: DataFrame, sample: str, path: Path) -> DataFrame:
     meant = _meant(sample, names)
     if len(meant) != 1:
         several = f'{len(meant)} samples whose names begin or end with "{sample}"' if meant else f'no sample "{sample}"'
-        raise DataError(f"{path}: holds {several}; name one of {listed}")
+        part = channels.incomplete(meant, str(path))
+        raise DataError(f"{path}: holds {several}; name one of {listed}" + (f"; {part}" if part else ""))
     if meant[0] != sample:
         note = f'the sample "{meant[0]}" is the one that "{sample}" names'
         frame.attrs["notes"] = [*frame.attrs.get("notes", ()), note]

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from gonio.formats import own_columns
+from gonio.formats import own_pairs
 from tests.places import ROOT, example, measured
 
 PAGE = ROOT / "docs" / "formats.md"
@@ -27,5 +27,5 @@ def _made(recipe: str, name: str, out: Path) -> Path:
     steps[recipe](measured(f"brdf/{name}"), out)
     said = re.search(rf"gonio compare {out.name} --columns \\\s+(\S+)", PAGE.read_text(encoding="utf-8"))
     assert said is not None
-    own_columns.remember(out, own_columns.pairs(said[1]))
+    own_pairs.remember(out, own_pairs.pairs(said[1]))
     return out

@@ -40,18 +40,18 @@ def reading(columns: str | None) -> Reading:
     ConfigError
         --columns is written otherwise.
     """
-    from gonio.formats import own_columns
+    from gonio.formats import own_pairs
     from gonio.measurement import Reading
 
-    return Reading(None if columns is None else own_columns.pairs(columns))
+    return Reading(None if columns is None else own_pairs.pairs(columns))
 
 
 def remember(specs: Sequence[str], how: Reading) -> None:
     """Write --columns beside the tables that they were right for, for the next command; say so."""
     from gonio import measurement
-    from gonio.formats import own_columns
+    from gonio.formats import own_pairs
 
     for path in (Path(measurement.split(spec)[0]) for spec in specs):
-        said = own_columns.remember(path, how.columns) if how.columns is not None and path.is_file() else None
+        said = own_pairs.remember(path, how.columns) if how.columns is not None and path.is_file() else None
         if said is not None:
             console.note(said)

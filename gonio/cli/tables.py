@@ -100,11 +100,11 @@ def _ask(path: Path, columns: str | None) -> None:
     from gonio import measurement
     from gonio.disk import read_file
     from gonio.errors import DataError, os_error_as
-    from gonio.formats import own_columns
+    from gonio.formats import own_pairs
 
     with os_error_as(ConfigError, f"{path}: cannot be read"):
         data = read_file(path)
-    found, read_so = measurement.proposed(data, path, own_columns.pairs(columns) if columns else None)
+    found, read_so = measurement.proposed(data, path, own_pairs.pairs(columns) if columns else None)
     if found is None:
         raise DataError(f"{path}: no table is seen in it: no line of names or numbers, with rows as long as it")
     for reason in found.reasons:
@@ -117,11 +117,11 @@ def _ask(path: Path, columns: str | None) -> None:
             console.note(note)
     unknown = "" if found.whole else " (in place of NAME a column, or a number for all rows)"
     print(f"{found.line(path)}{unknown}", flush=True)  # on one line, to copy
-    beside = own_columns.beside_path(path)
+    beside = own_pairs.beside_path(path)
     if read_so is None or isinstance(read_so, GonioError) or not (sys.stdin.isatty() and sys.stdout.isatty()):
         return
     if typer.confirm(f"Write {beside}, so that every command reads it so?"):
-        console.note(own_columns.remember(path, own_columns.pairs(found.text)) or f"{beside} is there, and stays")
+        console.note(own_pairs.remember(path, own_pairs.pairs(found.text)) or f"{beside} is there, and stays")
 
 
 def _first_rows(table: pd.DataFrame) -> Table:

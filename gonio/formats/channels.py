@@ -1,6 +1,6 @@
 """Samples that are the channels red, green and blue of one, as files in colour have them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from gonio.spectra import RGB_NM
 from gonio.typing import DataFrame
@@ -14,6 +14,28 @@ _NOTE = (
 def is_joined(table: DataFrame) -> bool:
     """Whether a table was made of three channels by `joined`."""
     return bool(table.attrs.get("channels"))
+
+
+def incomplete(names: Iterable[str], of: str) -> str:
+    """What is said of samples named as channels of one, of which some are missing; "" where there is no such sample.
+
+    `of` is the file, for the words to write.
+    """
+    parts: dict[str, list[str]] = {}
+    for name in names:
+        stem, _, colour = name.rpartition(" ")
+        if colour in RGB_NM:
+            parts.setdefault(stem, []).append(colour)
+    for stem, there in parts.items():
+        missing = [colour for colour in RGB_NM if colour not in there]
+        if missing and len(there) > 1:
+            whole = f"{stem} {missing[0]}".strip()
+            return (
+                f"{stem or 'the sample'} has the channels {' and '.join(there)} and no {missing[0]}, and a colour "
+                f'needs all three: add the sample "{whole}", or take one channel alone, as '
+                f'"{of}:{f"{stem} {there[0]}".strip()}"'
+            )
+    return ""
 
 
 def joined(samples: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
@@ -55,4 +77,8 @@ def joined(samples: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
             one.attrs["bands"] = [{"name": colour, "centre_nm": nm} for colour, nm in RGB_NM.items()]
             one.attrs["notes"] = [*(table.attrs.get("notes") or []), _NOTE]
             out[stem] = one
+    if part := incomplete(out, "FILE"):
+        for name in [name for name in out if name.rpartition(" ")[2] in RGB_NM]:
+            out[name] = out[name].copy(deep=False)
+            out[name].attrs = samples[name].attrs | {"notes": [*(samples[name].attrs.get("notes") or []), part]}
     return out

@@ -67,6 +67,18 @@ def column_hints(header: Sequence[str]) -> list[str]:
     return [_sentence(name, column, unit) for column, (name, unit) in found_in(header).items()]
 
 
+def are_units(cells: Sequence[str]) -> bool:
+    """Whether a line holds units alone, as it may stand under a header: words for units, and empty cells."""
+    said = [*map(unit_of, cells)]
+    return None not in said and any(unit not in ("", "-") for unit in said)
+
+
+def unit_of(cell: str) -> str | None:
+    """The unit that a cell is, as this module writes it; "-" where it says that there is none; None for other text."""
+    word = cell.strip().strip("#[]()").strip().lower()
+    return "-" if word == "-" else _UNITS.get(word)
+
+
 def unit_in(name: str) -> str:
     """The unit that a column's name says, as "deg", "rad", "nm", "um", "1/sr" or "%"; "" where it says none."""
     return word_and_unit(name)[1]

@@ -3,17 +3,17 @@
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.formats import own_columns, workbook
+from gonio.formats import own_layouts, own_pairs
 from gonio.formats.column_hints import NEEDED, found_in, word_and_unit
-from gonio.formats.text import BLANKS, CsvTable, cells_of, decode, header_in, lines_of, table_from
+from gonio.formats.text import BLANKS, CsvTable, cells_of, header_in, lines_of, table_from
 from gonio.typing import Floats
 
 UNKNOWN = "NAME"
@@ -39,8 +39,8 @@ _ALONE: dict[str, tuple[str, ...]] = {
     "brdf": (),
 }
 """Names of columns that are this one where no other is; any name where there are none."""
-_VALUES = {"r", "value", "values", "reflectance", "brdf_values", "bsdf_values", "f", "intensity", "signal", "brdf_cos",
-           "ccbrdf", "f_cos", "cos_brdf", "brdf_cosine"}  # fmt: skip
+_VALUES = {"f_r11", "fr11", "r", "value", "values", "reflectance", "brdf_values", "bsdf_values", "f", "intensity",
+           "signal", "brdf_cos", "ccbrdf", "f_cos", "cos_brdf", "brdf_cosine"}  # fmt: skip
 _FACTOR = re.compile(r"\b(h?c?d?r?brf|hdrf|(reflectance|radiance)[ _]factor)s?\b", re.IGNORECASE)
 
 
@@ -81,18 +81,29 @@ def proposal(data: bytes, path: Path, given: Mapping[str, str] | None = None) ->
     `given` are pairs that are known, and stay where the file has such columns.
     """
     try:
-        if workbook.is_workbook(data):
-            data, _ = workbook.as_csv(data, path, [])
-        lines = lines_of(decode(data, path))
+        text, _ = own_layouts.as_text(data, path, _fits)
+        lines = lines_of(text)
         place = _header(lines)
         if place is None:
             return _without_header(lines, path)
-        table = table_from(lines[: place[0] + _LOOKED_AT], *place, path)
+        first, mark = place
+        table = table_from(lines[: first + _LOOKED_AT], first, mark, path)
     except DataError:
         return None
-    if not table.rows:
+    below, units = own_layouts.units_under(lines, first, table.header, mark)
+    rows = [row for row, line in zip(table.rows, table.line_numbers, strict=True) if not below or line != below + 1]
+    if not rows:
         return None
-    return _of(table, "".join(lines[: place[0]]), dict(given or {}))
+    return _of(replace(table, rows=rows), units, "".join(lines[:first]), dict(given or {}))
+
+
+def _fits(cells: list[str]) -> bool:
+    """Whether a row of a worksheet may be its header."""
+    return _known(cells) > 1 or _of_matrix(cells)
+
+
+def _of_matrix(cells: list[str]) -> bool:
+    return len(cells) > 2 and [*map(_is_number, cells)] == [False, *[True] * (len(cells) - 1)]
 
 
 def _header(lines: Sequence[str]) -> tuple[int, str] | None:
@@ -104,9 +115,7 @@ def _header(lines: Sequence[str]) -> tuple[int, str] | None:
             found, most = (first, place[1]), _known(cells_of(lines[first], place[1]))
     if found is not None:
         return found
-    return header_in(
-        lines, lambda cells: len(cells) > 2 and [*map(_is_number, cells)] == [False, *[True] * (len(cells) - 1)]
-    )
+    return header_in(lines, _of_matrix)
 
 
 def _more_than(most: int, cells: list[str]) -> bool:
@@ -137,19 +146,19 @@ def _wide(header: Sequence[str]) -> str:
 
 def _names(header: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Columns that names tell, by their keys: the file's name, and the unit that it says; "" where it says none."""
-    found = {own_columns.pair_key(name): (own, unit) for name, (own, unit) in found_in(header).items()}
+    found = {own_pairs.pair_key(name): (own, unit) for name, (own, unit) in found_in(header).items()}
     words = {word_and_unit(name)[0] for name in header}
     for name in header:
         word, unit = word_and_unit(name)
         key = name if name in NEEDED else ""
         if key:
-            found[own_columns.pair_key(key)] = (name, "")
+            found[own_pairs.pair_key(key)] = (name, "")
         elif word in _LETTERS and {"ti", "tr"} <= words:
             found.setdefault(_LETTERS[word], (name, unit))
         elif word in _SHORT:
             found.setdefault(_SHORT[word], (name, unit))
-        elif _DPHI.fullmatch(word) and "phi_r" not in found:
-            found.setdefault("dphi", (name, unit))
+        elif _DPHI.fullmatch(word):
+            found.setdefault("phi_i" if word in ("phi", "φ", "ϕ") and "phi_r" in found else "dphi", (name, unit))
         elif word in _VALUES or _FACTOR.search(word.replace("_", " ")):
             found.setdefault("brdf", (name, {"%": "percent"}.get(unit, unit)))
     if "phi_r" in found:
@@ -157,18 +166,22 @@ def _names(header: Sequence[str]) -> dict[str, tuple[str, str]]:
     return found
 
 
-def _of(table: CsvTable, preamble: str, given: dict[str, str]) -> Proposal:
-    """The proposal for a table with a header."""
+def _of(table: CsvTable, units: Mapping[str, str], preamble: str, given: dict[str, str]) -> Proposal:
+    """The proposal for a table with a header, and with a row of units where `units` has some."""
     header = table.header
     out = Proposal(header)
     names, values = _names(header), {name: _numbers(table, name) for name in header}
     wide = _wide(header)
     if all(map(_is_number, header[1:])) and len(header) > 2:
-        return _matrix(out, header, values)
+        return _matrix(out, header, values, given)
     if wide and not ("brdf" in names and wide == "*"):
         names["brdf"] = (wide, "")
         names.pop("wavelength", None)
     left = [n for n in header if n not in {own for own, _ in names.values()} and values[n] is not None]
+    in_row = {"-": "factor", "%": "percent"}  # of values
+    for key, (own, unit) in names.items():
+        if said := units.get(own, ""):
+            names[key] = (own, in_row.get(said, said) if key == "brdf" else unit if said == "-" else said)
     alone = set[str]()
     for key, words in _ALONE.items():
         fitting = [n for n in left if word_and_unit(n)[0] in words] if words else left if not wide else []
@@ -190,30 +203,36 @@ def _of(table: CsvTable, preamble: str, given: dict[str, str]) -> Proposal:
             unit, why = "um", "by its name; below 100: micrometres"
         if key == "brdf" and unit in ("", "1/sr"):
             unit, why = _unit_of_values(own, unit, preamble, why)
-        if key == "theta_r" and _least(values[own]) < 0:
-            unit = f"{unit}:signed".lstrip(":")
-            why += "; it is negative, and positive is taken for the mirror side (or :signed-retro)"
         out.pairs[key] = f"{own}:{unit}" if unit else own
         out.reasons.append(f"{key}: {own!r}, {why}")
-    _complete(out, given)
+    _complete(out, given, {name for name in header if _least(values[name]) < 0})
     return out
 
 
 _ANGLE_KEYS = ("theta_i", "theta_r", "phi_i", "phi_r", "dphi")
 
 
-def _complete(out: Proposal, given: dict[str, str]) -> None:
-    """What is missing, from pairs that are given, or with a placeholder."""
+def _complete(out: Proposal, given: dict[str, str], negative: Collection[str]) -> None:
+    """What is missing, from pairs that are given, or with a placeholder; signs of columns with negative numbers."""
     for key, own in given.items():
         name, colon, rest = own.partition(":")
-        short = own_columns.pair_key(key)
-        for_all = not colon and (_is_number(name) or name in (*own_columns.WIDE, own_columns.MATRIX))
+        short = own_pairs.pair_key(key)
+        for_all = not colon and (_is_number(name) or name in (*own_pairs.WIDE, own_pairs.MATRIX))
+        if out.pairs.get(short, "").startswith(f"{own}:"):
+            continue  # and its unit and sign
         if own in out.header or name in out.header or for_all:
             out.pairs[short] = own
         elif near := difflib.get_close_matches(name, out.header, n=1):
             out.pairs[short] = near[0] + colon + rest
     if "phi_r" in given and "dphi" not in given:
         out.pairs.pop("dphi", None)
+    if "dphi" in given and "phi_r" not in given:
+        out.pairs.pop("phi_r", None)
+    for key, why in _SIGNED.items():
+        own = out.pairs.get(key, "")
+        if ":signed" not in own and any(own == name or own.startswith(f"{name}:") for name in negative):
+            out.pairs[key] = f"{own}:signed"
+            out.reasons.append(f"{key} is negative, {why}")
     signed = ":signed" in out.pairs.get("theta_r", "")
     if "phi_r" not in out.pairs and "dphi" not in out.pairs and not signed:
         out.pairs["phi_r" if "phi_i" in out.pairs else "dphi"] = UNKNOWN
@@ -228,22 +247,39 @@ def _complete(out: Proposal, given: dict[str, str]) -> None:
         if key not in out.pairs:
             out.pairs[key] = UNKNOWN
             out.reasons.append(f"{key}: no column is known for it; a number where it was the same in all rows")
-    plain = {key: own for key, own in out.pairs.items() if own != own_columns.table_name(key)} or {"brdf": "brdf"}
+    plain = {key: own for key, own in out.pairs.items() if own != own_pairs.table_name(key)} or {"brdf": "brdf"}
     out.pairs = dict(sorted(plain.items(), key=lambda pair: (*_ORDER, pair[0]).index(pair[0])))
 
 
+_SIGNED = {
+    "theta_i": "and there the source is taken for at phi_i + 180",
+    "theta_r": "and positive is taken for the mirror side (or :signed-retro)",
+}
 _ORDER = ("theta_i", "phi_i", "theta_r", "phi_r", "dphi", "wavelength", "polarisation", "sample", "brdf")
 
 
-def _matrix(out: Proposal, header: Sequence[str], values: Mapping[str, Floats | None]) -> Proposal:
-    signed = _least(values[header[0]]) < 0
-    out.pairs = {"theta_r": "#1:signed"} if signed else {}
-    out.pairs |= {"phi_i": "0", **({} if signed else {"dphi": UNKNOWN}), "brdf": "matrix"}
+def _matrix(
+    out: Proposal, header: Sequence[str], values: Mapping[str, Floats | None], given: dict[str, str]
+) -> Proposal:
     out.reasons = [
-        "the header is numbers but for its first cell: a matrix, theta_i in the header, theta_r in the first column",
-        *(["theta_r is negative, and positive is taken for the mirror side (or :signed-retro)"] if signed else []),
+        "the header is numbers but for its first cell: a matrix, theta_i in the header, theta_r in the first column"
     ]
+    known = {own_pairs.pair_key(key): own for key, own in given.items()}
+    out.pairs = {key: own for key, own in known.items() if _is_number(own) or own.split(":")[0] in _OF_MATRIX}
+    least = {"theta_i": min(float(name.replace(",", ".")) for name in header[1:]), "theta_r": _least(values[header[0]])}
+    for (key, why), place in zip(_SIGNED.items(), _OF_MATRIX, strict=False):
+        own = out.pairs.get(key, place)
+        if least[key] < 0 and ":signed" not in own:
+            out.pairs[key] = f"{own}:signed"
+            out.reasons.append(f"{key} is negative, {why}")
+    signed = ":signed" in out.pairs.get("theta_r", "")
+    out.pairs = {"phi_i": "0", **({} if signed else {"dphi": UNKNOWN}), "brdf": own_pairs.MATRIX} | out.pairs
+    out.pairs = dict(sorted(out.pairs.items(), key=lambda pair: (*_ORDER, pair[0]).index(pair[0])))
     return out
+
+
+_OF_MATRIX = ("header", "#1", own_pairs.MATRIX)
+"""Where a matrix has theta_i, theta_r and brdf."""
 
 
 def _without_header(lines: Sequence[str], path: Path) -> Proposal | None:

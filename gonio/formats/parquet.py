@@ -13,9 +13,10 @@ from typing import Any, BinaryIO
 from gonio import hdf5
 from gonio.errors import ConfigError, DataError
 from gonio.formats import native, nexus
-from gonio.formats.column_hints import NEEDED
+from gonio.formats.column_hints import NEEDED, are_units
 from gonio.formats.reader import Format, write_bytes
 from gonio.formats.sheets import WORDS
+from gonio.formats.text import csv_of
 from gonio.shown import one_line
 from gonio.typing import DataFrame
 
@@ -72,6 +73,32 @@ def read(file: BinaryIO, path: Path) -> DataFrame:
     if some is None:
         raise DataError(f"{path}: the Parquet file is damaged: it states {rows} rows, and holds others")
     return native.taken(some, stored, path)
+
+
+def as_csv(data: bytes, path: Path) -> bytes:
+    """The table under columns of its maker's own, as a CSV; a row of units follows the header where columns state some.
+
+    Numbers have every digit.
+    """
+    _require_library()
+    from pyarrow.parquet import ParquetFile
+
+    try:
+        content = ParquetFile(io.BytesIO(data))
+        _require_bounded(content.metadata, path)
+        frame = content.read().to_pandas()
+        stated = [
+            {key.decode("utf-8", "replace").lower(): value.decode("utf-8", "replace") for key, value in pairs.items()}
+            for pairs in (field.metadata or {} for field in content.schema_arrow)
+        ]
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # what pyarrow raises of damaged files is of any kind
+        raise _damaged(path, error) from None
+    units = [own.get("units", own.get("unit", "")) for own in stated]
+    head = csv_of(map(str, frame.columns), [units] if are_units(units) else [])
+    text: str = frame.to_csv(index=False, header=False, lineterminator="\n")
+    return head + text.encode()
 
 
 def _factors(schema: Any, stored: Any, path: Path) -> dict[str, float]:

@@ -6,11 +6,12 @@ stored, whatever its format shows, but for a percent format: its cells are share
 has them. Rows that are hidden are read, and a note says so; merged cells are refused.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from gonio.errors import DataError
+from gonio.formats.column_hints import are_units
 from gonio.formats.reader import ANGLES, COLUMNS, EXTRA
 from gonio.formats.text import csv_of
 
@@ -19,6 +20,8 @@ WORDS = ("polarisation", "side", "sample", "flag")
 _OF_PERCENT = {"percent": 100.0, "relative-percent": 100.0, "factor": 1.0, "relative": 1.0}
 """By what a number in percent format is multiplied for each unit: it is stored as the share that it shows."""
 Takes = Callable[[Iterable[str]], Mapping[str, str]]
+Fits = Callable[[list[str]], bool]
+"""Whether names are those of a table's header."""
 MAX_PLACES = 4_000_000
 """Rows times columns, empty ones too: what the lines of the CSV take, four times the cells of a workbook."""
 
@@ -52,8 +55,10 @@ class Sheet(dict[tuple[int, int], Cell]):
         """Rows that a spreadsheet does not show."""
 
 
-def table_of(sheets: Sequence[Sheet], path: Path, needed: Collection[str], takes: Takes) -> tuple[bytes, list[str]]:
-    """The table of the first worksheet whose header has the needed columns, as a CSV, and notes on what was taken.
+def table_of(sheets: Sequence[Sheet], path: Path, fits: Fits, takes: Takes) -> tuple[bytes, list[str]]:
+    """The table of the first worksheet that has a header which fits, as a CSV, and notes on what was taken.
+
+    Where none has one, the first line of the first worksheet is the header.
 
     Raises
     ------
@@ -63,9 +68,11 @@ def table_of(sheets: Sequence[Sheet], path: Path, needed: Collection[str], takes
     full = [(number, sheet) for number, sheet in enumerate(sheets, start=1) if sheet]
     if not full:
         raise DataError(f"{path}: the workbook holds no cells")
-    number, sheet = next(((n, s) for n, s in full if set(needed) <= set(_header(s).values())), full[0])
-    header = _header(sheet)
-    first = min(row for row, _ in sheet)
+    found = [(n, s, *place) for n, s in full for place in _places(s, fits)]
+    number, sheet, first, _ = next(
+        (one for one in found if one[3]), next(iter(found), (*full[0], min(row for row, _ in full[0][1]), False))
+    )
+    header = _header(sheet, first)
     rows = len({row for row, _ in sheet})
     where = f"{path}, worksheet {number}"
     if rows * len(header) > MAX_PLACES:
@@ -78,21 +85,26 @@ def table_of(sheets: Sequence[Sheet], path: Path, needed: Collection[str], takes
     _require_unmerged(sheet, first, taken, where)
     percent = _in_percent(sheet, first, taken, where)
     lines: dict[int, list[str]] = {}
+    units_row = min((row for row, _ in sheet if row > first), default=first)
+    if not are_units([_shown(value) for (row, _), value in sheet.items() if row == units_row]):
+        units_row = first
     at = {column: k for k, column in enumerate(header)}
     for (row, column), value in sheet.items():
         if row <= first:
             continue
         if column not in at:
-            raise DataError(
-                f"{where}, row {row + 1}: a cell in a column without a name; the sheet's first line names them"
-            )
+            raise DataError(f"{where}, row {row + 1}: a cell in a column without a name; row {first + 1} names them")
         factor = percent.get(column, 1.0)
         if isinstance(value, float):
             text = repr(float(value) if factor == 1.0 else float(f"{value * factor:.16g}"))
+        elif row == units_row:
+            text = _shown(value)
         else:
             text = _taken(value, *taken[column], place(where, row, column)) if column in taken else _shown(value)
         lines.setdefault(row, [""] * len(at))[at[column]] = text
     notes = [f"worksheet {number} of {len(sheets)} is read"] if len(sheets) > 1 else []
+    if first > min(row for row, _ in sheet):
+        notes.append(f"the table begins at row {first + 1} of worksheet {number}; what stands above it is not read")
     notes += [f"the cells of {header[column]!r} are in percent format: 50 % of them is 0.5" for column in percent]
     if hidden := len(sheet.hidden & lines.keys()):
         notes.append(f"{hidden} hidden rows of worksheet {number} are read, too")
@@ -160,10 +172,28 @@ def _require_unmerged(sheet: Sheet, first: int, taken: Mapping[int, object], whe
             )
 
 
-def _header(sheet: Sheet) -> dict[int, str]:
-    """Names of the columns by their places: the first line that is not empty."""
-    first = min(row for row, _ in sheet)
-    return {column: _shown(value).strip() for (row, column), value in sorted(sheet.items()) if row == first}
+def _header(sheet: Sheet, first: int) -> dict[int, str]:
+    """Names of the columns by their places, in a row; of a matrix the corner may be empty."""
+    names = {column: _shown(value).strip() for (row, column), value in sorted(sheet.items()) if row == first}
+    left = min(column for _, column in sheet)
+    numbers = all(isinstance(value, float) for (row, _), value in sheet.items() if row == first)
+    return {left: "", **names} if numbers and left not in names else names
+
+
+def _places(sheet: Sheet, fits: Fits) -> Iterator[tuple[int, bool]]:
+    """The rows whose cells are a header that fits, and whether every cell below stands under one of its names."""
+    by_row: dict[int, set[int]] = {}
+    for row, column in sheet:
+        by_row.setdefault(row, set()).add(column)
+    ordered = sorted(by_row)
+    for k, first in enumerate(ordered[:_HEADER_WITHIN]):
+        header = _header(sheet, first)
+        if fits([*header.values()]):
+            yield first, set().union(*(by_row[row] for row in ordered[k + 1 :])) <= header.keys()
+
+
+_HEADER_WITHIN = 200
+"""Rows in which a header is looked for."""
 
 
 def _shown(value: Cell) -> str:

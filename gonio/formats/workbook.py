@@ -1,8 +1,8 @@
 """Tables of one's own in Excel workbooks, `.xlsx` and `.xls`: a worksheet with a header line, taken as a CSV.
 
-A worksheet's first line that is not empty names the columns. It is read as a CSV with these cells would be: under the
-measurement table's names, or under others that are named (`gonio.formats.own_columns`). Of several worksheets the first
-is taken whose header has all the columns that are needed. Numbers come out with every bit that the workbook holds;
+The first line that holds all the columns that are needed names them, in the first worksheet that has one. It is read as
+a CSV with these cells would be: under the measurement table's names, or under others that are named
+(`gonio.formats.own_columns`). Numbers come out with every bit that the workbook holds;
 those that are written have 16 digits.
 
 Also here are the cells of Excel workbooks, of 1997 (xlrd) and of today (openpyxl), with bounds on what they unpack to.
@@ -30,7 +30,7 @@ from gonio.formats import native
 from gonio.formats.column_hints import NEEDED
 from gonio.formats.curve_sheets import curves
 from gonio.formats.reader import NOT_XML, Format, require_held, write_bytes
-from gonio.formats.sheets import Cell, Odd, Percent, Sheet, Takes, table_of, under_its_own_names
+from gonio.formats.sheets import Cell, Fits, Odd, Percent, Sheet, Takes, table_of, under_its_own_names
 from gonio.formats.xml_text import require_plain
 from gonio.shown import one_line
 from gonio.typing import DataFrame
@@ -268,10 +268,11 @@ def is_workbook(data: bytes) -> bool:
     return data.startswith((OLD, NEW))
 
 
-def as_csv(data: bytes, path: Path, needed: Collection[str], takes: Takes = lambda _: {}) -> tuple[bytes, list[str]]:
+def as_csv(data: bytes, path: Path, fits: Fits, takes: Takes = lambda _: {}) -> tuple[bytes, list[str]]:
     """The worksheet of a table as a CSV, and notes on which it is.
 
-    `takes` tells of a header which of its columns are read, and their units; "" of words.
+    `fits` tells whether a row is the table's header; `takes` of a header which of its columns are read, and their
+    units; "" of words.
 
     Raises
     ------
@@ -279,13 +280,13 @@ def as_csv(data: bytes, path: Path, needed: Collection[str], takes: Takes = lamb
         It is no such workbook, is damaged, or holds nothing; a cell stands in a column without a name; a cell of a
         column that is read is no number where one belongs.
     """
-    return table_of(worksheets(data, path), path, needed, takes)
+    return table_of(worksheets(data, path), path, fits, takes)
 
 
 def read(data: bytes, path: Path) -> DataFrame:
     """The measurement table in a workbook whose columns have the table's own names."""
     sheets = worksheets(data, path)
-    text, notes = table_of(sheets, path, NEEDED, under_its_own_names)
+    text, notes = table_of(sheets, path, lambda names: set(NEEDED) <= set(names), under_its_own_names)
     stored = _stored(sheets)
     frame = native.read(io.BytesIO(text), path, stored)
     frame.attrs["notes"] = [*([] if stored else notes), *frame.attrs["notes"]]

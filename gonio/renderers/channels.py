@@ -7,6 +7,7 @@ import numpy as np
 
 from gonio import colour, geometry
 from gonio.errors import ConfigError, DataError
+from gonio.formats import channels
 from gonio.formats.reader import ANGLES
 from gonio.spectra import CHANNELS_NM
 from gonio.typing import DataFrame, Floats
@@ -88,7 +89,9 @@ def _usable(table: DataFrame, name: str) -> tuple[DataFrame, list[str], bool]:
     samples = table["sample"].unique().tolist() if "sample" in table.columns else []
     parts = {str(s).rpartition(" ")[2]: table[table["sample"] == s] for s in samples}
     if samples and (set(parts) != set(COLOURS) or len(samples) != 3):
-        raise DataError(f"{name}: holds several samples; name one as FILE:SAMPLE: {'; '.join(map(str, samples))}")
+        part = channels.incomplete(map(str, samples), "FILE")
+        several = f"holds several samples; name one as FILE:SAMPLE: {'; '.join(map(str, samples))}"
+        raise DataError(f"{name}: {part or several}")
     usable = (table["flag"] == "") & (table["polarisation"] == "unpolarised") & np.isfinite(table["brdf"])
     usable &= (table["theta_i_deg"] < 90) & (table["theta_r_deg"] < 90)
     left_out = len(table) - int(usable.sum())

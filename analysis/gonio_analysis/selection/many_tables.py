@@ -12,7 +12,7 @@ import gonio
 from gonio import measurement, platform
 from gonio.disk import require_name, write_whole
 from gonio.errors import ConfigError, GonioError, os_error_as
-from gonio.formats import own_columns
+from gonio.formats import own_pairs
 from gonio.measurement import Reading, meta_path
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import observations
@@ -157,7 +157,7 @@ def _digest(table: str) -> str:
     digest = hashlib.sha256()
     try:
         digest.update(path.read_bytes())
-        for beside in (meta_path(path), own_columns.beside_path(path)):
+        for beside in (meta_path(path), own_pairs.beside_path(path)):
             if beside.is_file():
                 digest.update(beside.read_bytes())
     except OSError:

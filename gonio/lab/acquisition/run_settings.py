@@ -186,11 +186,11 @@ def named_files(description: RigDescription) -> tuple[dict[str, bytes], RigDescr
 
 def _require_whole(source: Path, data: bytes) -> None:
     """`ConfigError` where a table is read with what lies beside it, from which its copy is taken away."""
-    from gonio.formats import own_columns, rt300s
+    from gonio.formats import own_pairs, rt300s
 
-    own = own_columns.beside(source) is not None
+    own = own_pairs.beside(source) is not None
     if own or rt300s.FORMAT.sniff(data):
-        beside = own_columns.beside_path(source).name if own else "a blank"
+        beside = own_pairs.beside_path(source).name if own else "a blank"
         raise ConfigError(
             f"{source}: reference.table is read with {beside} beside it, and a run keeps the table alone; "
             f"write it anew with `gonio convert {source} OUT.csv` and name that one"

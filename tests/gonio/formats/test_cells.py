@@ -14,7 +14,7 @@ import pytest
 
 from gonio import measurement
 from gonio.errors import DataError
-from gonio.formats import own_columns, workbook
+from gonio.formats import own_pairs, workbook
 from tests.gonio.formats.test_rt300s import SAMPLE, compound, record
 from tests.gonio.formats.test_rt300s import workbook as rt300s
 
@@ -270,7 +270,7 @@ def test_other_workbooks_are_named_with_the_way_out(names: tuple[str, ...], told
     with pytest.raises(DataError, match=told):
         measurement.parse(out.getvalue(), Path("a.ods"))
     with pytest.raises(DataError, match="is no Excel workbook, whatever its name"):
-        workbook.as_csv(b"<html><table>", Path("a.xls"), ())
+        workbook.as_csv(b"<html><table>", Path("a.xls"), lambda _: True)
 
 
 def test_units_of_a_workbook_are_those_of_own_columns() -> None:
@@ -279,6 +279,6 @@ def test_units_of_a_workbook_are_those_of_own_columns() -> None:
         *([30.0, 0.0, float(r), 180.0, 62.0, 0.05] for r in (0, 10)),
     ]
     data = xlsx(rows, {(row, 5): "0%" for row in (1, 2)})
-    pairs = own_columns.pairs("theta_i=ti,phi_i=pi,theta_r=tr,phi_r=pr,brdf=R:percent,u_random=dR:relative-percent")
+    pairs = own_pairs.pairs("theta_i=ti,phi_i=pi,theta_r=tr,phi_r=pr,brdf=R:percent,u_random=dR:relative-percent")
     frame = measurement.parse(data, Path("a.xlsx"), columns=pairs)
     assert frame["u_random"].tolist() == pytest.approx([0.05 * 0.62 / math.pi] * 2, rel=1e-15)

@@ -6,13 +6,13 @@ import pytest
 
 from gonio import measurement
 from gonio.errors import ConfigError, DataError
-from gonio.formats import own_columns
+from gonio.formats import own_pairs
 from gonio.formats.text import separator
 from gonio.lab.acquisition.plan import read_points
 from gonio.lab.calibration.tables import read_numbers
 
 HEADER = ["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "wavelength_nm", "brdf"]
-OWN = own_columns.pairs("theta_i=theta_i_deg,phi_i=phi_i_deg,theta_r=theta_r_deg,phi_r=phi_r_deg,brdf=brdf:1/sr")
+OWN = own_pairs.pairs("theta_i=theta_i_deg,phi_i=phi_i_deg,theta_r=theta_r_deg,phi_r=phi_r_deg,brdf=brdf:1/sr")
 
 
 def cut(mark: str, values: list[str], header: list[str] = HEADER) -> bytes:

@@ -15,7 +15,7 @@ import pytest
 from gonio import measurement
 from gonio.cli.tables import convert
 from gonio.errors import ConfigError, DataError
-from gonio.formats import own_columns, workbook
+from gonio.formats import own_pairs, workbook
 from gonio.formats.sheets import Sheet
 from tests import recipes
 from tests.command_line import gonio, says, some
@@ -47,19 +47,19 @@ def assert_plain(frame: pd.DataFrame) -> None:
 
 @pytest.mark.parametrize(("mark", "point"), [(",", "."), (";", ","), ("\t", ".")])
 def test_names_and_units_of_ones_own(mark: str, point: str) -> None:
-    frame = measurement.parse(mine(mark, point).encode(), Path("mine.csv"), columns=own_columns.pairs(SPEC))
+    frame = measurement.parse(mine(mark, point).encode(), Path("mine.csv"), columns=own_pairs.pairs(SPEC))
     assert_plain(frame)
     says(" ".join(frame.attrs["notes"]), "'R' [factor] is brdf", "columns left out: 'run'")
 
 
 def test_the_file_beside_the_table_is_read_by_every_command(tmp_path: Path) -> None:
     (tmp_path / "mine.csv").write_text(mine())
-    pairs = own_columns.pairs(SPEC).items()
+    pairs = own_pairs.pairs(SPEC).items()
     (tmp_path / "mine.columns.toml").write_text("".join(f'{key} = "{own}"\n' for key, own in pairs))
     assert_plain(measurement.read(tmp_path / "mine.csv"))
     (frame,) = measurement.tables(tmp_path / "mine.csv").values()  # what the commands call
     assert_plain(frame)
-    assert own_columns.beside(tmp_path / "mine.xls") is None  # another file, of the same name
+    assert own_pairs.beside(tmp_path / "mine.xls") is None  # another file, of the same name
 
 
 def test_convert_takes_them_on_the_command_line(tmp_path: Path) -> None:
@@ -85,11 +85,11 @@ def test_convert_takes_them_on_the_command_line(tmp_path: Path) -> None:
 )
 def test_pairs_that_are_wrong(spec: str, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
-        measurement.parse(mine().encode(), Path("mine.csv"), columns=own_columns.pairs(spec))
+        measurement.parse(mine().encode(), Path("mine.csv"), columns=own_pairs.pairs(spec))
 
 
 def test_what_is_wrong_with_the_files_is_told(tmp_path: Path) -> None:
-    columns = own_columns.pairs(SPEC)
+    columns = own_pairs.pairs(SPEC)
     with pytest.raises(DataError, match=r"mine\.csv, line 1: columns missing, or there twice: ti"):
         measurement.parse(mine().replace("ti", "t").encode(), Path("mine.csv"), columns=columns)
     with pytest.raises(DataError, match=r'mine\.csv, line 3: tr is "x", not a number'):
@@ -126,7 +126,7 @@ ROWS: list[list[object]] = [
 
 
 def test_a_workbook_under_ones_own_names() -> None:
-    frame = measurement.parse(xlsx([["a remark"]], ROWS), Path("mine.xlsx"), columns=own_columns.pairs(SPEC))
+    frame = measurement.parse(xlsx([["a remark"]], ROWS), Path("mine.xlsx"), columns=own_pairs.pairs(SPEC))
     assert_plain(frame)
     assert "worksheet 2 of 2 is read" in frame.attrs["notes"]
 
@@ -143,7 +143,7 @@ def test_an_old_workbook_under_ones_own_names(monkeypatch: pytest.MonkeyPatch) -
     numbers = [[v if isinstance(v, str) else float(str(v)) for v in row] for row in ROWS]
     cells = {(r, c): value for r, row in enumerate(numbers) for c, value in enumerate(row)}
     monkeypatch.setattr(workbook, "worksheets", lambda data, path: [Sheet(cells)])  # the reader has tests of its own
-    assert_plain(measurement.parse(workbook.OLD, Path("mine.xls"), columns=own_columns.pairs(SPEC)))
+    assert_plain(measurement.parse(workbook.OLD, Path("mine.xls"), columns=own_pairs.pairs(SPEC)))
 
 
 def test_damaged_workbooks(survives: Callable[..., None]) -> None:
@@ -158,22 +158,22 @@ def test_damaged_workbooks(survives: Callable[..., None]) -> None:
 def test_the_names_are_remembered_and_never_written_over(tmp_path: Path) -> None:
     table, file = tmp_path / "mine.csv", tmp_path / "mine.columns.toml"
     table.write_text(mine())
-    columns = own_columns.pairs(SPEC)
-    said = some(own_columns.remember(table, columns))
+    columns = own_pairs.pairs(SPEC)
+    said = some(own_pairs.remember(table, columns))
     assert "mine.columns.toml now names these columns" in said
     assert_plain(measurement.read(table))
-    assert own_columns.remember(table, columns) is None  # it says the same
+    assert own_pairs.remember(table, columns) is None  # it says the same
     before = file.read_bytes()
-    said = some(own_columns.remember(table, {**columns, "brdf": "R"}))
+    said = some(own_pairs.remember(table, {**columns, "brdf": "R"}))
     assert "says otherwise than --columns" in said
     assert file.read_bytes() == before
     (tmp_path / "mine.xlsx").write_bytes(xlsx(ROWS))
-    assert own_columns.remember(tmp_path / "mine.xlsx", columns) is None  # the file is about mine.csv
+    says(some(own_pairs.remember(tmp_path / "mine.xlsx", columns)), "not remembered", "is about mine.csv")
 
 
 def test_the_file_beside_a_workbook_is_its_own_where_no_csv_has_its_name(tmp_path: Path) -> None:
     (tmp_path / "mine.xlsx").write_bytes(xlsx(ROWS))
-    assert own_columns.remember(tmp_path / "mine.xlsx", own_columns.pairs(SPEC)) is not None
+    assert own_pairs.remember(tmp_path / "mine.xlsx", own_pairs.pairs(SPEC)) is not None
     assert_plain(measurement.read(tmp_path / "mine.xlsx"))
 
 
@@ -219,7 +219,7 @@ def table(*more: str, rows: Sequence[str] = ("30,0,10,180,62,2", "30,0,20,180,58
 @pytest.mark.parametrize("key", ["u_brdf", "u_random", "u_angles", "s_lamp"])
 def test_an_uncertainty_has_the_unit_of_brdf(key: str, unit: str) -> None:
     """Kind: a column that belongs to another is read in a unit of its own; 2 % of a factor was 2 per steradian."""
-    columns = own_columns.pairs(f"{ANGLES},{key}=dR,brdf=R:{unit}")
+    columns = own_pairs.pairs(f"{ANGLES},{key}=dR,brdf=R:{unit}")
     frame = measurement.parse(table("R", "dR"), Path("a.csv"), columns=columns)
     # two roundings, by 100 and by pi
     assert frame[key].tolist() == pytest.approx([2 * SCALES[unit], 3 * SCALES[unit]], rel=1e-15)
@@ -233,17 +233,17 @@ def test_a_unit_that_is_named_for_an_uncertainty_wins() -> None:
     expected = {"1/sr": [2.0, 3.0], "factor": [2 / math.pi, 3 / math.pi], "relative": [1.24 / math.pi, 1.74 / math.pi],
                 "relative-percent": [0.0124 / math.pi, 0.0174 / math.pi]}  # fmt: skip
     for unit, values in expected.items():
-        frame = measurement.parse(table("R", "dR"), Path("a.csv"), columns=own_columns.pairs(of + unit))
+        frame = measurement.parse(table("R", "dR"), Path("a.csv"), columns=own_pairs.pairs(of + unit))
         assert frame["u_random"].tolist() == pytest.approx(values, rel=2e-15)  # four roundings
     signed = measurement.parse(
         table("R", "dR", rows=["30,0,10,180,-62,2"]), Path("a.csv"),
-        columns=own_columns.pairs(f"{ANGLES},brdf=R:1/sr,u_random=dR:relative-percent"),
+        columns=own_pairs.pairs(f"{ANGLES},brdf=R:1/sr,u_random=dR:relative-percent"),
     )  # fmt: skip
     assert signed["u_random"].tolist() == pytest.approx([1.24], rel=1e-15)  # an uncertainty has no sign
 
 
 def test_an_uncertainty_under_the_tables_name_follows_too() -> None:
-    frame = measurement.parse(table("R", "u_brdf"), Path("a.csv"), columns=own_columns.pairs(f"{ANGLES},brdf=R:factor"))
+    frame = measurement.parse(table("R", "u_brdf"), Path("a.csv"), columns=own_pairs.pairs(f"{ANGLES},brdf=R:factor"))
     assert frame["u_brdf"].tolist() == [2 / math.pi, 3 / math.pi]
     says(" ".join(frame.attrs["notes"]), "the unit of brdf is that of 'u_brdf' [factor] too")
 
@@ -251,16 +251,16 @@ def test_an_uncertainty_under_the_tables_name_follows_too() -> None:
 def test_a_file_that_an_older_version_wrote_is_read_right_and_told(tmp_path: Path) -> None:
     """Kind: what was remembered wrongly goes on being wrong. A new file states each unit."""
     (tmp_path / "a.csv").write_bytes(table("R", "dR"))
-    pairs = own_columns.pairs(f"{ANGLES},brdf=R:percent,u_random=dR")
+    pairs = own_pairs.pairs(f"{ANGLES},brdf=R:percent,u_random=dR")
     old = "".join(f'{key} = "{own}"\n' for key, own in pairs.items())
     (tmp_path / "a.columns.toml").write_text(old)
     done = gonio(tmp_path, "convert", "a.csv", "-", "--to", "gonio", expect=0)
     assert repr(3 * 0.01 / math.pi)[:12] in done.stdout
     assert "write u_random = 'dR:1/sr'" in " ".join(done.stderr.split())
     (tmp_path / "a.columns.toml").unlink()
-    some(own_columns.remember(tmp_path / "a.csv", pairs))
+    some(own_pairs.remember(tmp_path / "a.csv", pairs))
     assert 'u_random = "dR:percent"' in (tmp_path / "a.columns.toml").read_text()
-    assert own_columns.remember(tmp_path / "a.csv", pairs) is None  # it says the same
+    assert own_pairs.remember(tmp_path / "a.csv", pairs) is None  # it says the same
 
 
 @pytest.mark.parametrize(
@@ -278,7 +278,7 @@ def test_a_name_that_says_another_unit_than_the_one_taken_is_refused(
 ) -> None:
     """Kind: a unit that stands in the file's own header, and is passed over."""
     with pytest.raises(ConfigError) as caught:
-        measurement.parse(table(*more), Path("a.csv"), columns=own_columns.pairs(spec))
+        measurement.parse(table(*more), Path("a.csv"), columns=own_pairs.pairs(spec))
     assert told in str(caught.value)
 
 
@@ -287,7 +287,7 @@ def test_a_wavelength_in_another_unit_is_refused() -> None:
     for text, unit in (("0.55", "nm"), ("10.6", "nm"), ("5.5e-7", "nm"), ("550", "um")):
         data = table("R", "wl", rows=[f"30,0,10,180,0.3,{text}"])
         with pytest.raises(DataError, match=r"line 2: wavelength_nm = .*; from 100 to 200000 nanometres"):
-            measurement.parse(data, Path("a.csv"), columns=own_columns.pairs(f"{ANGLES},brdf=R,wavelength=wl:{unit}"))
+            measurement.parse(data, Path("a.csv"), columns=own_pairs.pairs(f"{ANGLES},brdf=R,wavelength=wl:{unit}"))
     with pytest.raises(DataError, match=r"wavelength_nm = 0\.55"):
         measurement.parse(PLAIN.replace(",550,", ",0.55,").encode(), Path("plain.csv"))
 
@@ -313,7 +313,7 @@ def test_a_refusal_of_columns_has_a_line_to_copy(tmp_path: Path) -> None:
         measurement.read(tmp_path / "a.csv")
     _, _, rest = str(caught.value).partition('--columns "')
     line = rest.partition('"')[0]
-    frame = measurement.read(tmp_path / "a.csv", columns=own_columns.pairs(line))
+    frame = measurement.read(tmp_path / "a.csv", columns=own_pairs.pairs(line))
     assert frame["brdf"].tolist() == [0.9 / math.pi]
     assert frame["theta_r_deg"].tolist() == pytest.approx([math.degrees(0.5)], rel=1e-15)
     with pytest.raises(

@@ -11,7 +11,7 @@ import pytest
 
 from gonio import measurement
 from gonio.errors import DataError
-from gonio.formats import own_columns, own_guess
+from gonio.formats import own_guess, own_pairs
 from gonio.formats.reader import ANGLES
 from gonio.typing import Floats
 from tests.command_line import gonio, says
@@ -131,7 +131,7 @@ def taken(frame: pd.DataFrame) -> Floats:
 @pytest.mark.parametrize("seed", range(48))
 def test_a_layout_is_read_as_what_made_it_knows(seed: int) -> None:
     made = layout(seed)
-    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_columns.pairs(made.pairs))
+    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_pairs.pairs(made.pairs))
     expected = made.truth[np.lexsort(made.truth[:, :5].T[::-1])]
     # nine digits are written: of an angle in radians 3e-8 degrees, of values 5e-9 of them, with cos(theta_r) 7e-9
     np.testing.assert_allclose(taken(frame), expected, rtol=2e-8, atol=1e-7)
@@ -154,7 +154,7 @@ def test_a_refusal_ends_with_the_line_that_reads_the_table(seed: int) -> None:
         assert "dphi=180" in made.pairs
         pairs = pairs.replace("NAME", "180")
     assert "NAME" not in pairs
-    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_columns.pairs(pairs))
+    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_pairs.pairs(pairs))
     expected = made.truth[np.lexsort(made.truth[:, :5].T[::-1])]
     np.testing.assert_allclose(taken(frame), expected, rtol=2e-8, atol=1e-7)  # as above
 
@@ -162,17 +162,15 @@ def test_a_refusal_ends_with_the_line_that_reads_the_table(seed: int) -> None:
 def test_a_misspelt_name_is_put_right_in_the_line_to_try() -> None:
     made = layout(0)
     with pytest.raises(DataError) as caught:
-        measurement.parse(
-            made.text.encode(), Path("a.csv"), columns=own_columns.pairs(made.pairs.replace("inc", "inv"))
-        )
-    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_columns.pairs(line_of(str(caught.value))))
+        measurement.parse(made.text.encode(), Path("a.csv"), columns=own_pairs.pairs(made.pairs.replace("inc", "inv")))
+    frame = measurement.parse(made.text.encode(), Path("a.csv"), columns=own_pairs.pairs(line_of(str(caught.value))))
     assert len(frame) == len(made.truth)
 
 
 def test_convert_asks_and_writes_nothing_without_a_terminal(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(STUDENT.format(0, 0))
     done = gonio(tmp_path, "convert", "a.csv", "--ask", expect=0)
-    says(done.stdout, "theta_r: 'theta_r_deg', by its name; it is negative", "2 rows; the first:")
+    says(done.stdout, "theta_r: 'theta_r_deg', by its name", "theta_r is negative", "2 rows; the first:")
     (line,) = (line for line in done.stdout.splitlines() if line.startswith("gonio convert"))
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
     gonio(tmp_path, *shlex.split(line)[1:], expect=0)
@@ -233,7 +231,7 @@ STUDENT = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,brdf\n30,0,-20,{0},0.1\n3
 )
 def test_a_signed_polar_angle(azimuths: tuple[int, int], pairs: str, expected: list[float]) -> None:
     data = STUDENT.format(*azimuths).encode()
-    frame = measurement.parse(data, Path("a.csv"), columns=own_columns.pairs(pairs))
+    frame = measurement.parse(data, Path("a.csv"), columns=own_pairs.pairs(pairs))
     assert frame["theta_r_deg"].tolist() == [20.0, 20.0]
     assert frame["phi_r_deg"].tolist() == expected
     says(" ".join(frame.attrs["notes"]), "theta_r is signed: positive is")
@@ -250,7 +248,7 @@ def test_a_sign_that_the_azimuths_contradict_is_refused(azimuths: tuple[int, int
 def test_columns_by_place_need_no_header() -> None:
     for top in ("", "made by hand\n\n# of the 3rd\n"):
         data = f"{top}30 0,5 20 180\n40 0,6 20 180\n".encode()
-        pairs = own_columns.pairs("theta_i=#1,brdf=#2,theta_r=#3,phi_r=#4,phi_i=0,polarisation=s")
+        pairs = own_pairs.pairs("theta_i=#1,brdf=#2,theta_r=#3,phi_r=#4,phi_i=0,polarisation=s")
         frame = measurement.parse(data, Path("a.txt"), columns=pairs)
         assert frame["theta_i_deg"].tolist() == [30.0, 40.0]
         assert frame["brdf"].tolist() == [0.5, 0.6]
@@ -259,7 +257,7 @@ def test_columns_by_place_need_no_header() -> None:
 
 
 def test_a_word_that_is_no_column_is_no_sample() -> None:
-    pairs = own_columns.pairs("theta_r=theta_r_deg:signed,sample=gold")
+    pairs = own_pairs.pairs("theta_r=theta_r_deg:signed,sample=gold")
     with pytest.raises(DataError, match="missing, or there twice: gold"):
         measurement.parse(STUDENT.format(0, 0).encode(), Path("a.csv"), columns=pairs)
 
@@ -269,12 +267,12 @@ def test_what_is_remembered_reads_the_same(tmp_path: Path) -> None:
         made = layout(seed)
         table = tmp_path / f"a{seed}.csv"
         table.write_text(made.text)
-        first = measurement.read(table, columns=own_columns.pairs(made.pairs))
-        assert own_columns.remember(table, own_columns.pairs(made.pairs)) is not None
+        first = measurement.read(table, columns=own_pairs.pairs(made.pairs))
+        assert own_pairs.remember(table, own_pairs.pairs(made.pairs)) is not None
         pd.testing.assert_frame_equal(measurement.read(table), first, check_exact=True)
 
 
 def test_a_row_that_is_wrong_is_named_by_its_line() -> None:
     data = b"of a lamp\n\nti tr 400nm 500nm\n30 20 1 2\n30 95 1 2\n"
     with pytest.raises(DataError, match=r"a\.txt, line 5: theta_r_deg = 95"):
-        measurement.parse(data, Path("a.txt"), columns=own_columns.pairs("theta_i=ti,theta_r=tr:signed,brdf=*nm"))
+        measurement.parse(data, Path("a.txt"), columns=own_pairs.pairs("theta_i=ti,theta_r=tr:signed,brdf=*nm"))
