@@ -18,29 +18,60 @@ def render(
     out: Annotated[Path, typer.Option(help="Folder of the picture.")],
     exr: Annotated[bool, typer.Option("--exr", help="Write picture.exr too, a float channel a wavelength.")] = False,
     to: Annotated[str | None, typer.Option(help='Write the scene for another renderer instead: "mitsuba".')] = None,
+    error: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Take the cheapest form of each material by which no pixel is off by more, as 1%.",
+        ),
+    ] = None,
 ) -> None:
     """Render a scene file through the models. Prints the picture's path."""
+    from gonio.errors import ConfigError
     from gonio.platform import command_line
     from gonio_scenes import picture
+    from gonio_scenes.cheaper import render_to_error
     from gonio_scenes.render import render as rendered
     from gonio_scenes.scene import read, too_bright
 
     described = read(scene)
+    share = None if error is None else _share(error)
+    if share is not None and to is not None:
+        raise ConfigError("--error and --to exclude each other: nothing is rendered")
     for told in dict.fromkeys(too_bright(described)):
         console.note(f"{told}: light in the picture is not conserved")
     if to is not None:
         _write(described, out, to, exr)
         return
     picture.require_free(described, out, exr=exr)
-    with console.counter("rendering") as step:
-        result = rendered(described, step=step)
-    picture.write(described, result, out, exr=exr, command=command_line())
+    if share is None:
+        taken = None
+        with console.counter("rendering") as step:
+            result = rendered(described, step=step)
+    else:
+        result, taken = render_to_error(described, share)
+        for each in taken:
+            console.note(f"material.{each.material}: {each.words}")
+    picture.write(described, result, out, exr=exr, command=command_line(), forms=taken)
     for material, share in result.extrapolated.items():
         told = "no lamp lights it" if share is None else f"{share:.0%} of its light is extrapolated"
         console.note(f"material.{material}: a measured table, {told}; summary.json says how")
     if result.above_tolerance:
         console.note(f"{result.above_tolerance} pixels are above the tolerance still; summary.json says how far")
     print(out / "picture.png")
+
+
+def _share(text: str) -> float:
+    """A share as people write it: 1%, 0.01."""
+    from gonio.errors import ConfigError
+
+    try:
+        share = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+    except ValueError:
+        share = 0.0
+    if not 0.0 < share < 1.0:
+        raise ConfigError(f"--error {text}: it has to be a share between 0 and 1, as 1% or 0.01")
+    return share
 
 
 def _write(scene: Scene, out: Path, to: str, exr: bool) -> None:

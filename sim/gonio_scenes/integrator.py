@@ -35,10 +35,13 @@ class Integrator:
         self._one_material = len(set(map(id, scene.material))) == 1
         self._any_seen = any(disc.visible for disc in self._discs)
 
-    def radiance(self, origin: Floats, direction: Floats, random: np.random.Generator | None) -> tuple[Floats, Hits]:
+    def radiance(
+        self, origin: Floats, direction: Floats, random: np.random.Generator | None, only: Bools | None = None
+    ) -> tuple[Floats, Hits]:
         """Radiances (n, wavelengths) that come back along rays, and what the rays met.
 
         `random` moves the points of discs of light; without it each light is seen from one direction, its centre's.
+        Where `only` is false no lamp's light is computed, and the radiance counts for nothing.
         """
         scene = self.scene
         out = np.zeros((direction.shape[0], scene.wavelength_nm.size))
@@ -54,9 +57,10 @@ class Integrator:
             whole = met.size == hits.shape.size
             hits = hits if whole else hits.picked(met)
             direction = direction if whole else direction.take(met, axis=0)
+            only = only if whole or only is None else only[met]
             where = (met if where is None else where[met]) if not whole else where
             weight = weight if weight is None or whole else weight[met]
-            light = self._lit(hits, direction, random)
+            light = self._lit(hits, direction, random, only)
             _add(out, where, light if weight is None else weight * light)
             if not self._mirrors:
                 break
@@ -65,6 +69,7 @@ class Integrator:
                 break
             kept, weight, toward = mirrored
             where = kept if where is None else where[kept]
+            only = only if only is None else only[kept]
             if depth == scene.mirror_depth:
                 if scene.ambient is not None:
                     _add(out, where, weight * scene.ambient)
@@ -103,7 +108,9 @@ class Integrator:
 
     # --- what surfaces send back ------------------------------------------------------------------------------------
 
-    def _lit(self, hits: Hits, direction: Floats, random: np.random.Generator | None) -> Floats:
+    def _lit(
+        self, hits: Hits, direction: Floats, random: np.random.Generator | None, only: Bools | None = None
+    ) -> Floats:
         """Radiances (n, wavelengths) of hits toward where their rays came from, mirror rays left out."""
         scene = self.scene
         out = np.zeros((hits.shape.size, scene.wavelength_nm.size))
@@ -115,6 +122,7 @@ class Integrator:
                 arriving = light.arrive(hits.position, sample, shift)
                 towards = local(arriving.direction, hits.facing, hits.tangent)
                 here = np.flatnonzero((towards[:, 2] > 0.0) & (view[:, 2] > 0.0) & (arriving.strength > 0.0))
+                here = here if only is None else here[only[here]]
                 here = here[_lights_facet(arriving.direction, hits, here)]
                 if scene.world.casts_shadows and here.size:
                     self.rays["shadow"] += here.size

@@ -36,6 +36,8 @@ AMBIENT_TOLERANCE = 1e-5
 
 Pattern = Callable[[Floats], Floats]
 """uv (n, 2) to values (n,) in [0, 1]."""
+Change = Callable[[Model], Model]
+"""A model to another form of it."""
 
 
 class Texture(Strict):
@@ -146,6 +148,8 @@ class SceneMaterial:
         self._where = where
         self._levels: dict[tuple[float, ...], _Level] = {}
         self._ambient: dict[tuple[float, ...], Any] = {}
+        self._change: Change | None = None
+        self._written = self
         self._textures: dict[str, Pattern] = {
             name: texture.load(folder, f"{where}.textures.{name}") for name, texture in table.textures.items()
         }
@@ -202,7 +206,9 @@ class SceneMaterial:
         theta = np.arccos(np.clip(cos_theta, 0.0, 1.0))
         return self._by_level(
             uv,
-            lambda level, here: self._each(level, lambda m, w: m.specular_reflectivity(theta[here], wavelength_nm=w)),
+            lambda level, here: self._written._each(
+                level, lambda m, w: m.specular_reflectivity(theta[here], wavelength_nm=w)
+            ),
         )
 
     def ambient(self, omega_r: Floats, uv: Floats) -> Floats:
@@ -210,7 +216,13 @@ class SceneMaterial:
         given = self._table.ambient_reflectance
         if given is not None:
             return np.broadcast_to(self._given(given), (omega_r.shape[0], self._waves.size))
-        return self._by_level(uv, lambda level, here: self._rho_hd(level, omega_r[here]))
+        return self._by_level(uv, lambda level, here: self._written._rho_hd(level, omega_r[here]))
+
+    def in_form(self, change: Change) -> "SceneMaterial":
+        """With other models for the light of lamps; spike and ambient light are as before."""
+        made = copy.copy(self)
+        made._levels, made._change = {}, change
+        return made
 
     def measured_alone(self) -> "SceneMaterial":
         """A measured table with 0 wherever it would be extrapolated; another material as it is."""
@@ -242,7 +254,10 @@ class SceneMaterial:
 
     def _level(self, level: tuple[float, ...]) -> _Level:
         if level not in self._levels:
-            self._levels[level] = self._made(level)
+            made = self._made(level)
+            if self._change is not None:
+                made = _Level(tuple(map(self._change, made.at)), made.constant)
+            self._levels[level] = made
         return self._levels[level]
 
     def _made(self, level: tuple[float, ...]) -> _Level:

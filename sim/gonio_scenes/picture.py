@@ -5,7 +5,8 @@ import math
 import os
 import tempfile
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from gonio.lab.rig.dng import encode_dng
 from gonio.lab.rig.protocols import Frame
 from gonio.typing import Floats, JsonObject, NDArray
 from gonio_scenes.camera import expose
+from gonio_scenes.cheaper import Taken
 from gonio_scenes.lights import DiscLight, relative_power
 from gonio_scenes.render import Picture
 from gonio_scenes.scene import Scene, tables
@@ -28,8 +30,11 @@ WHITE_SHARE = 0.99
 """Where the file gives no white, this share of the picture's lit pixels is at most white."""
 
 
-def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, command: str = "") -> None:
-    """Write all files of a rendered scene into a folder.
+def write(
+    scene: Scene, picture: Picture, out: Path, *, exr: bool = False, command: str = "",
+    forms: Sequence[Taken] | None = None,
+) -> None:  # fmt: skip
+    """Write all files of a rendered scene into a folder; `forms` are those of `render_to_error`.
 
     Raises
     ------
@@ -38,6 +43,8 @@ def write(scene: Scene, picture: Picture, out: Path, *, exr: bool = False, comma
     """
     shown, white = display(scene, picture.radiance)
     told = summary(scene, picture, white, command)
+    if forms is not None:
+        told["forms"] = [asdict(form) | {"spent": form.spent} for form in forms]
     files: dict[str, bytes | Path] = {"picture.png": _png(shown)}
     del shown
     if _photographed(scene):

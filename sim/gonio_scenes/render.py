@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.typing import Floats, NDArray
+from gonio.typing import Bools, Floats, NDArray
 from gonio_scenes.integrator import Integrator
 from gonio_scenes.scene import Scene, tables
 from gonio_scenes.world import Hits
@@ -108,15 +108,8 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
     camera, waves = scene.camera, scene.wavelength_nm.size
     integrator = Integrator(scene)
     count, seen = camera.pixels, 0
-    noisy = (
-        camera.lens_radius > 0
-        or camera.samples > 1
-        or scene.tolerance > 0
-        or any(light.samples > 1 for light in scene.lights)
-    )
     told = step or (lambda done, of: None)
-    one_ray = camera.samples == 1 and scene.tolerance == 0.0
-    through_centres = one_ray and camera.lens_radius == 0
+    one_ray, through_centres, noisy = _kind(scene)
     radiance = np.zeros((count if through_centres else 0, waves))
     for pixel in _blocks(scene, BLOCK if through_centres and noisy else FEWER):
         origin, direction = camera.rays(pixel, 0, None)
@@ -155,6 +148,37 @@ def render(scene: Scene, *, step: Step | None = None) -> Picture:
         above_tolerance=above,
         share_on_shapes=seen / count,
     )
+
+
+def radiance_of(scene: Scene, only: Bools) -> tuple[Floats, Floats | None]:
+    """Radiances (pixels, wavelengths), and standard errors as `Picture.error`, where `only` (pixels,) is true.
+
+    By the rays that `render` takes of a scene without a tolerance; elsewhere they count for nothing.
+    """
+    integrator = Integrator(scene)
+    _, through_centres, noisy = _kind(scene)
+    if not through_centres:
+        return _even(scene, integrator, lambda done, of: None, only)[:2]
+    out = np.zeros((only.size, scene.wavelength_nm.size))
+    for pixel in _blocks(scene, BLOCK if noisy else FEWER):
+        wanted = only[pixel]
+        if not wanted.any():
+            continue
+        if noisy:
+            rays = scene.camera.rays(pixel, 0, None)
+            out[pixel], _ = integrator.radiance(*rays, _random(scene, 0, int(pixel[0])), wanted)
+        else:
+            pixel = pixel[wanted]
+            out[pixel], _ = integrator.radiance(*scene.camera.rays(pixel, 0, None), None)
+    return out, None
+
+
+def _kind(scene: Scene) -> tuple[bool, bool, bool]:
+    """Whether a pixel takes one ray, whether that goes through its centre, and whether there are random numbers."""
+    camera = scene.camera
+    one_ray = camera.samples == 1 and scene.tolerance == 0.0
+    noisy = not one_ray or camera.lens_radius > 0 or any(light.samples > 1 for light in scene.lights)
+    return one_ray, one_ray and camera.lens_radius == 0, noisy
 
 
 def _blocks(scene: Scene, size: int = BLOCK) -> Iterator[Indices]:
@@ -199,14 +223,19 @@ def _averaged(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats,
     return sums.mean, error, sums.rays, above
 
 
-def _even(scene: Scene, integrator: Integrator, told: Step) -> tuple[Floats, Floats, Indices, int]:
+def _even(
+    scene: Scene, integrator: Integrator, told: Step, only: Bools | None = None
+) -> tuple[Floats, Floats, Indices, int]:
     """`_averaged`, with as many rays in every pixel: block by block."""
     sizes, count = _batches(scene.camera.samples), scene.camera.pixels
-    mean, error = (np.empty((count, scene.wavelength_nm.size)) for _ in range(2))
+    mean, error = (np.zeros((count, scene.wavelength_nm.size)) for _ in range(2))
     for pixel in _blocks(scene):
+        wanted = None if only is None else only[pixel]
+        if wanted is not None and not wanted.any():
+            continue
         sums = _Sums.of(pixel.size, scene.wavelength_nm.size)
         for batch, size in enumerate(sizes, 1):
-            sums.add(scene, integrator, pixel, size, _random(scene, batch, int(pixel[0])), first=int(pixel[0]))
+            sums.add(scene, integrator, pixel, size, _random(scene, batch, int(pixel[0])), int(pixel[0]), wanted)
         block = slice(int(pixel[0]), int(pixel[-1]) + 1)
         mean[block], error[block] = sums.mean, sums.error()
         told(block.stop, count)
@@ -235,16 +264,16 @@ class _Sums:
 
     def add(
         self, scene: Scene, integrator: Integrator, pixel: Indices, size: int, random: np.random.Generator,
-        first: int = 0,
+        first: int = 0, only: Bools | None = None,
     ) -> None:  # fmt: skip
         """Follow a batch of rays for each entry of `pixel`, which grows and may name a pixel several times.
 
-        These sums begin with the pixel `first`.
+        These sums begin with the pixel `first`; `only` is the integrator's.
         """
         shift = random.random((pixel.size, 4))
         mean = np.zeros((pixel.size, scene.wavelength_nm.size))
         for sample in range(size):
-            mean += integrator.radiance(*scene.camera.rays(pixel, sample, shift), random)[0]
+            mean += integrator.radiance(*scene.camera.rays(pixel, sample, shift), random, only)[0]
         mean /= size
         starts = np.flatnonzero(np.diff(pixel, prepend=-1))
         at = pixel[starts] - first
