@@ -5,8 +5,9 @@ An entry point names a callable `(description, settings) -> camera`: the rig's d
 `gonio.lab.rig.CameraDevice`; it touches no device before it is entered. docs/writing_a_driver.md shows one.
 """
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 from gonio import plugins
 from gonio.config import parse
@@ -65,11 +66,11 @@ def folder(description: RigDescription, table: TomlTable) -> OpenableCamera:
     return FolderCamera(description, parse(settings.FolderCameraSettings, table, SOURCE))
 
 
-def uvc(description: RigDescription, table: TomlTable) -> OpenableCamera:
-    """A USB video camera."""
+def uvc(description: RigDescription, table: TomlTable, capture: Callable[..., Any] | None = None) -> OpenableCamera:
+    """A USB video camera; `capture` opens it in place of OpenCV's `VideoCapture`."""
     from gonio_drivers.uvc import UvcCamera
 
-    return UvcCamera(description, parse(settings.UvcCameraSettings, table, SOURCE))
+    return UvcCamera(description, parse(settings.UvcCameraSettings, table, SOURCE), capture)
 
 
 def sequence(description: RigDescription, table: TomlTable) -> OpenableCamera:

@@ -344,8 +344,10 @@ class _File(Strict):
 
 @dataclass(frozen=True, slots=True)
 class LabPlugin(service.ServoService):
-    """The entry point `lab` of the group `gonio.rigs`, with work on single servos, and a look at unknown ports."""
+    """An entry point of the group `gonio.rigs`, with work on single servos, and a look at unknown ports."""
 
+    file: str
+    """The shipped rig file."""
     lamp_on = staticmethod(service.lamp_on)
     is_release = staticmethod(service.is_release)
     wiggle = staticmethod(service.wiggle)
@@ -354,7 +356,7 @@ class LabPlugin(service.ServoService):
     @property
     def toml(self) -> str:
         """The shipped rig file."""
-        return (files("gonio_drivers") / "lab.toml").read_text(encoding="utf-8")
+        return (files("gonio_drivers") / self.file).read_text(encoding="utf-8")
 
     def open(
         self, description: RigDescription, *, sample: SampleDescription | None, seed: int, confirm: bool
@@ -392,4 +394,5 @@ def _devices(description: RigDescription) -> DeviceSettings:
     return parse(_File, {"devices": description.devices}, f'rig "{description.name}"').devices
 
 
-LAB = LabPlugin()
+LAB = LabPlugin("lab.toml")
+THREE_SERVOS = LabPlugin("three-servos.toml")

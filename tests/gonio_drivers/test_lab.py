@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gonio_drivers.arms import ServoArms
-from gonio_drivers.lab import LAB
+from gonio_drivers.lab import LAB, THREE_SERVOS
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.servo import Servo
 from gonio_sim.wire.twins import Twins, rig_file
@@ -28,6 +28,7 @@ from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.lab.acquisition.progress import Silent
 from gonio.lab.acquisition.run import Run
+from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.commands.rigs import checks
 from gonio.lab.reduction import brdf
 from gonio.lab.rig import Pose
@@ -403,6 +404,29 @@ def test_a_bench_for_a_rig_with_another_camera(tmp_path: Path, driver: str) -> N
         return
     with twins, opened(twins) as rig:
         assert rig.camera.capture(0.01).mosaic.shape == (48, 64)
+
+
+def test_a_webcam_has_a_stand_in_with_a_gamma(tmp_path: Path) -> None:
+    """Its values, made linear by the curve of IEC 61966-2-1, are in proportion to the exposure."""
+    tables = tomllib.loads(THREE_SERVOS.toml)
+    tables["camera"] |= {"width": 64, "height": 48, "prnu": 0.0, "dsnu_e": 0.0}
+    tables["lamp"] |= {"noise": 0.0, "drift_per_hour": 0.0, "warm_up_s": 0.0}
+    description = parse(RigDescription, tables, "three-servos.toml")
+    with Twins(description, SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as twins:
+        with pytest.raises(ConfigError, match="a video camera is not linear until"):
+            opened(twins)
+        plain = twins.description.camera.model_copy(update={"response": tuple(map(float, range(256)))})
+        seen = twins.description.model_copy(update={"camera": plain})
+        with ManualRig(THREE_SERVOS.open_by_hand(seen, confirm=False), "", ()) as rig:
+            (tmp_path / "twin" / "target").write_text("reference")
+            rig.move(light=0.0, camera=math.radians(45.0))
+            rig.lamp(True)
+            frames = [rig.camera.capture(t) for t in (0.01, 0.04)]
+    assert [frame.exposure_s for frame in frames] == [0.01, 0.04]
+    coded = [float(frame.mosaic[20:28, 28:36].mean()) / 255.0 for frame in frames]
+    linear = [((v + 0.055) / 1.055) ** 2.4 for v in coded]
+    # a step of 1/255 at 0.26 is 3 % of the linear value, of which a mean of 64 noisy pixels leaves a part
+    assert linear[1] / linear[0] == pytest.approx(4.0, rel=0.02)
 
 
 def test_serve_writes_a_rig_file_that_works(tmp_path: Path) -> None:

@@ -155,13 +155,16 @@ class Sweep(Repeated):
     """Without `dphi_deg` signed: positive on the mirror side, negative on the retro side."""
     dphi_deg: Annotated[Angles, _in_range(-360, 360)] | None = None
     """phi_r - phi_i: 0 is retro, 180 the mirror half-plane. A negative theta_r lies on the opposite side."""
+    tilt_deg: Annotated[Angles, _in_range(-90, 90)] | None = None
+    """The sample leans so far out of the plane of the arms, at which `theta_i_deg` and `theta_r_deg` stand: directions
+    out of plane that a tilt alone reaches. Azimuths are those that the sample sees."""
     side: Side = "reflection"
     """In transmission theta_r goes on beyond the horizon, from 90 to 180 in size: 180 is behind, along the normal."""
 
     @property
     def size(self) -> int:
         """How many points it stands for."""
-        return len(self.theta_i_deg) * len(self.theta_r_deg) * (1 if self.dphi_deg is None else len(self.dphi_deg))
+        return len(self.theta_i_deg) * len(self.theta_r_deg) * len(self.dphi_deg or self.tilt_deg or (0.0,))
 
     @model_validator(mode="before")
     @classmethod
@@ -175,6 +178,8 @@ class Sweep(Repeated):
 
     @model_validator(mode="after")
     def _on_its_side(self) -> Sweep:
+        if self.tilt_deg is not None and (self.dphi_deg is not None or self.side != "reflection"):
+            raise ValueError("tilt_deg goes with theta_i_deg and theta_r_deg alone, and with reflection")
         for angle in self.theta_r_deg:
             if self.side == "reflection" and not -90 <= angle <= 90:
                 raise ValueError(
@@ -191,9 +196,24 @@ class Sweep(Repeated):
 
     def rows(self) -> Iterator[Row]:
         """In plane: a scan of theta_r for each theta_i. Out of plane: for each theta_i and dphi a scan of theta_r."""
+        for tilt in self.tilt_deg or ():
+            for i in self.theta_i_deg:
+                yield from (_leaning(tilt, i, r) for r in self.theta_r_deg)
+        if self.tilt_deg is not None:
+            return
         for i in self.theta_i_deg:
             for d in (180.0,) if self.dphi_deg is None else self.dphi_deg:
                 yield from ((i, 0.0, r, d) for r in self.theta_r_deg)
+
+
+def _leaning(tilt_deg: float, light_deg: float, camera_deg: float) -> Row:
+    """What a sample sees whose normal leans by a tilt toward +y; the camera is positive on the mirror side."""
+    tilt, light, camera = np.radians([tilt_deg, light_deg, -camera_deg])
+    ends = np.array([
+        [math.sin(arm), -math.sin(tilt) * math.cos(arm), math.cos(tilt) * math.cos(arm)] for arm in (light, camera)
+    ])  # fmt: skip
+    (theta_i, theta_r), (phi_i, phi_r) = np.degrees(angles(ends)).round(DIGITS).tolist()
+    return theta_i, phi_i, theta_r, phi_r
 
 
 class PointsFile(Repeated):

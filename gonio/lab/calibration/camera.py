@@ -91,13 +91,14 @@ def calibrate_response(frames: Sequence[CameraFrame], description: RigDescriptio
     if not flats:
         raise DataError("there are no flat frames: a response curve needs a bracket of exposures")
     images = [frame.read(camera) for frame in flats]
-    curve = linearity.curve(images, np.array([frame.exposure_s for frame in flats]))
+    curve, covariance = linearity.curve(images, np.array([frame.exposure_s for frame in flats]))
     notes = ["the noise of a camera with a response curve is not measured: that of the rig file stays"]
-    values = {"response": [float(f"{value:.6g}") for value in curve]}
+    values: TomlTable = {"response": [float(f"{value:.6g}") for value in curve], "nonlinearity": [0.0, 0.0]}
     values["response"][-1] = 255.0
     return CameraCalibration(
-        values, [], np.zeros((0, 0)), notes, {"flats": len(flats)}, None, None, None, np.zeros((2, 0))
-    )
+        values, ["nonlinearity[0]", "nonlinearity[1]"], covariance, notes, {"flats": len(flats)}, None, None, None,
+        np.zeros((2, 0)),
+    )  # fmt: skip
 
 
 def require_8_bits(camera: Camera) -> None:

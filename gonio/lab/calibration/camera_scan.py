@@ -36,6 +36,10 @@ DARK_FRAMES = 8
 LOW = np.linspace(0.03, 0.7, 14)
 HIGH = np.linspace(0.75, 1.15, 9)
 """Levels of the flats, as fractions of full scale: the gain's range, and around saturation."""
+BRACKET = np.geomspace(0.01, 6.0, 18)
+"""Exposures of a response curve, over the one that meters well."""
+ROUNDED = 0.3
+"""What a video camera, which counts exposures coarsely, may make of one that was asked for; its frames say which."""
 STRAY_FRAMES = 8
 FIELD_FRAMES = 4
 FIELD_DEG = (15.0, 40.0, 65.0)
@@ -89,6 +93,14 @@ class CameraScan:
         self._take_all("flat", [t for t in shuffled for _ in range(2)])
         self._manual.lamp(False)
 
+    def bracket(self) -> None:
+        """Two frames of the white reference at each of many exposures from dark to full, for a response curve."""
+        self._manual.lamp(True)
+        times = self._times(BRACKET * self._meter("flat").exposure_s)
+        self._say(f"bracket: 2 frames at each of {len(times)} exposures from {times[0]:.3g} to {times[-1]:.3g} s")
+        self._take_all("flat", [float(t) for t in (*times, *times[::-1])])  # there and back: a lamp that drifts shows
+        self._manual.lamp(False)
+
     def stray(self, kind: Literal["trap", "edge"]) -> None:
         """Frames of a trap in the holder, or of a knife edge before the white reference."""
         self._manual.lamp(True)
@@ -128,7 +140,8 @@ class CameraScan:
         camera = self._manual.description.camera
         frame = self._manual.camera.capture(exposure_s)
         require_raw(camera, frame, str(frame.file or "the camera"))
-        if not frame.exposure_s > 0 or abs(frame.exposure_s / exposure_s - 1.0) > CONTRADICTS:
+        within = ROUNDED if camera.response else CONTRADICTS
+        if not frame.exposure_s > 0 or abs(frame.exposure_s / exposure_s - 1.0) > within:
             raise DeviceError(
                 f"the camera was asked for {exposure_s:g} s, and its frame says {frame.exposure_s:g} s: a calibration "
                 "needs exposures that are what they say"

@@ -21,7 +21,7 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.lab.rig.light_and_camera import Camera, bent, straightened
-from gonio.typing import Array, Floats, NDArray
+from gonio.typing import Array, Floats
 
 DEGREE = 2
 """Coefficients of the departure."""
@@ -129,6 +129,8 @@ def fit(
 
 VALUES = 256
 SMOOTHNESS = 30.0
+SMOOTHNESS_OF_MEANS = 100.0
+"""Of means over many pixels, which have little noise: what a bracket leaves between its levels is filled smoothly."""
 FEWEST_EXPOSURES = 3
 
 
@@ -140,38 +142,52 @@ def hat(values: Floats, low: float = 0.01, high: float = 0.99) -> Floats:
     return np.asarray(weight / weight.max())
 
 
-def solve(values: NDArray[np.integer], log_exposures: Floats, smoothness: float = SMOOTHNESS) -> Floats:
+def solve(values: Array, log_exposures: Floats, smoothness: float = SMOOTHNESS) -> Floats:
     """g of every value, with g(128) = 0: the least squares of Debevec and Malik, eq. 3; 0 where no frame determines it.
 
     Parameters
     ----------
     values
-        Of pixels (rows) at exposures (columns), 0 to 255.
+        Of pixels (rows) at exposures (columns), 0 to 255. Between whole values g is straight.
     log_exposures
         ln of each exposure time [s].
     """
-    squared = hat(np.linspace(0.0, 1.0, VALUES)) ** 2
-    weights = squared[values]
-    of_pixel = weights.sum(axis=1)
-    seen = of_pixel > 0
-    values, weights, of_pixel = values[seen], weights[seen], of_pixel[seen]
-    pixels = np.repeat(np.arange(len(values)), values.shape[1])
-    shares = np.zeros((len(values), VALUES))
-    np.add.at(shares, (pixels, values.ravel()), weights.ravel())
+    values = np.asarray(values, dtype=float)
+    weights = hat(values / (VALUES - 1)) ** 2
+    seen = weights.sum(axis=1) > 0
+    values, weights = values[seen], weights[seen]
+    of_pixel, low = weights.sum(axis=1), np.minimum(values.astype(int), VALUES - 2)
+    pixels, ends = np.indices(values.shape)[0], ((low, 1.0 - (values - low)), (low + 1, values - low))
+    shares, right, normal = np.zeros((len(values), VALUES)), np.zeros(VALUES), np.zeros((VALUES, VALUES))
+    for value, part in ends:
+        np.add.at(shares, (pixels, value), weights * part)
+        np.add.at(right, value, weights * part * log_exposures)
+        for other, its in ends:
+            np.add.at(normal, (value, other), weights * part * its)
     # the light of each pixel is eliminated: what is left has the size of the curve
-    right = np.bincount(values.ravel(), (weights * log_exposures).ravel(), VALUES)
     right -= shares.T @ ((weights @ log_exposures) / of_pixel)
-    normal = np.diag(shares.sum(axis=0)) - shares.T @ (shares / of_pixel[:, None])
+    normal -= shares.T @ (shares / of_pixel[:, None])
     normal[VALUES // 2, VALUES // 2] += 1.0
     curvature = np.zeros((VALUES - 2, VALUES))
     k = np.arange(VALUES - 2)
     curvature[k, k], curvature[k, k + 1], curvature[k, k + 2] = 1.0, -2.0, 1.0
-    normal += smoothness**2 * curvature.T @ (squared[1:-1, None] * curvature)
+    inner = hat(np.linspace(0.0, 1.0, VALUES))[1:-1, None] ** 2
+    normal += smoothness**2 * curvature.T @ (inner * curvature)
     return np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ right)
 
 
-def curve(frames: Sequence[Array], exposures_s: Floats, pixels: int = 400) -> Floats:
+def curve(frames: Sequence[Array], exposures_s: Floats, groups: int = 200) -> tuple[Floats, Floats]:
     """`camera.response` from frames of one still scene: 256 linear values [DN] that grow from 0 to 255.
+
+    A pixel's noise would bend the curve, so pixels of about one brightness are averaged, in `groups`.
+
+    Returns
+    -------
+    curve
+        The linear values.
+    covariance
+        Of the coefficients of `camera.nonlinearity`, which a curve leaves at 0: how its shape changes where a
+        frame of the bracket is left out (jackknife). Shape (2, 2).
 
     Raises
     ------
@@ -197,10 +213,21 @@ def curve(frames: Sequence[Array], exposures_s: Floats, pixels: int = 400) -> Fl
             f"to near "
             "255: take shorter and longer exposures"
         )
-    # pixels of many brightnesses, each told by the sum over the bracket
-    total = stack.sum(axis=1)
-    chosen = np.argsort(total, kind="stable")[np.linspace(0, total.size - 1, min(pixels, total.size)).astype(int)]
-    light = np.exp(solve(stack[chosen], np.log(times)))
+    alike = np.array_split(np.argsort(stack.sum(axis=1), kind="stable"), min(groups, len(stack)))
+    means = np.stack([stack[pixels].mean(axis=0) for pixels in alike])
+    found = _grown(means, times)
+    weight, s = hat(np.linspace(0.0, 1.0, VALUES))[1:, None], found[1:] / 255.0
+    terms, bends = weight * np.stack([s**0, s, s**2], axis=1), []
+    for k in range(len(times)):
+        ratio = _grown(np.delete(means, k, axis=1), np.delete(times, k))[1:] / found[1:]
+        bends.append(np.linalg.lstsq(terms, weight[:, 0] * ratio, rcond=None)[0][1:])
+    off = np.array(bends) - np.mean(bends, axis=0)
+    return found, np.asarray((len(times) - 1) / len(times) * off.T @ off)
+
+
+def _grown(means: Floats, times: Floats) -> Floats:
+    """Linear values by the groups' means at some exposures."""
+    light = np.exp(solve(means, np.log(times), SMOOTHNESS_OF_MEANS))
     first, last = np.flatnonzero(hat(np.linspace(0.0, 1.0, VALUES)) > 0)[[0, -1]]
     # the weights leave the ends undetermined: black is no light, and the top goes on as the curve does
     light[:first] = light[first] * np.arange(first) / first

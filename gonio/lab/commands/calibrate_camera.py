@@ -1,6 +1,6 @@
 """`gonio calibrate camera`: gain, noise, linearity, dark current, maps and stray light of a rig's camera."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from gonio.lab.calibration.camera import calibrate as reduced
 from gonio.lab.calibration.camera_frames import CameraFrame, read_list
 from gonio.lab.calibration.camera_scan import CameraScan
 from gonio.lab.commands import opened
-from gonio.lab.rig.calibration_files import read_calibration, write_calibration
+from gonio.lab.rig.calibration_files import read_calibration, with_keys, write_calibration
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Camera
 from gonio.shown import apart
@@ -26,6 +26,8 @@ PROMPTS = {
     "edge": "Put the knife edge before the white reference: it covers x > 0, its edge at the sample's centre",
     "sample": "Put the sample back into the holder",
 }
+PLAIN = [float(value) for value in range(256)]
+"""The curve of a camera of 8 bits whose values are left as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +76,9 @@ def calibrate(
         )
     if response:
         require_8_bits(description.camera)
-        kinds = ["flats"]
+        kinds = ["flats"]  # and neither trap nor edge
     band = usual_band(description, asked.wavelength_nm)
-    taken = read_list(frames) if frames is not None else _take(rig, folder, kinds, asked)
+    taken = read_list(frames) if frames is not None else _take(rig, folder, kinds, asked, response=response)
     found = calibrate_response(taken, description) if response else reduced(taken, description, band.channel)
     file = found.file(description, valid_days=valid_days, maps=maps.name)
     written = [out]
@@ -97,9 +99,13 @@ def _has_response(description: RigDescription, rig: str) -> bool:
     return bool(description.camera.response) or any(isinstance(keys, dict) and keys.get("response") for keys in given)
 
 
-def _take(rig: str, folder: Path, kinds: list[str], asked: CameraOptions) -> list[CameraFrame]:
+def _take(rig: str, folder: Path, kinds: list[str], asked: CameraOptions, *, response: bool) -> list[CameraFrame]:
     """Drive the rig through all frames; those that were taken are kept whatever happens."""
-    manual = opened.manual_rig_of(rig, "arms", "light", "camera", seed=asked.seed, without="camera")
+    choice = opened.choice_of(rig, without="camera")
+    if response:  # values as the camera gives them, which a driver may refuse without a curve
+        plain = with_keys(choice.description, {"camera": {"response": PLAIN}}, rig)
+        choice = replace(choice, description=plain)
+    manual = ManualRig(choice.open(seed=asked.seed, by_hand=True), choice.source, ("arms", "light", "camera"))
     if asked.wavelength_nm is not None:
         manual.choose_band(asked.wavelength_nm)
     folder.mkdir()
@@ -108,9 +114,12 @@ def _take(rig: str, folder: Path, kinds: list[str], asked: CameraOptions) -> lis
         with opened.told_where(manual), manual:
             put(manual, "reference", yes=asked.yes)
             scan.go()
-            scan.darks()
-            scan.flats()
-            scan.field()
+            if response:
+                scan.bracket()
+            else:
+                scan.darks()
+                scan.flats()
+                scan.field()
             for kind in ("trap", "edge"):
                 if kind in kinds:
                     put(manual, kind, yes=asked.yes)

@@ -5,6 +5,7 @@ What `gonio measure` would refuse is refused before anything is served.
 
 from __future__ import annotations
 
+import io
 import shlex
 import signal
 import sys
@@ -59,6 +60,8 @@ def serve(
     for name in wanted:
         if name.partition(":")[0] not in faults.NAMES:
             raise ConfigError(f"--fault {name}: there is no such fault; known: {', '.join(faults.NAMES)}")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # a file that is read meanwhile
     choice = find_rig(rig)
     described = load_sample(sample) if sample is not None else None
     if not choice.description.devices:
@@ -77,24 +80,37 @@ def serve(
             for name in wanted:
                 what, _, axis = name.partition(":")
                 twins.inject(what, axis=axis or None)
-                print(f"  fault armed: {name}", flush=True)
+                print(f"fault armed: {name}")
             stop.wait()
 
 
 def _announce(rig: str, path: Path, twins: Twins) -> None:
-    """What runs, and what to type next."""
-    print(f"twins of {rig} are running, {twins.scale:g} times as fast; Ctrl-C ends them")
+    """What to type next, and what runs."""
+    from gonio_sim.wire.twins import TARGET_FILE
+
+    mine, folder = shlex.quote(str(path)), path.parent
+    print(f"twins of {rig} are running, {twins.scale:g} times as fast; Ctrl-C ends them. Next, in another terminal:")
+    if twins.video and not twins.description.camera.response:
+        print(
+            f"  gonio calibrate camera --rig {mine} --response --out {shlex.quote(str(folder / 'camera.toml'))} --yes"
+        )
+        print(f"  printf '[calibration]\\nfiles = [\"camera.toml\"]\\n' >> {mine}")
+    print(f"  gonio rig check --rig {mine}")
+    print(f"  gonio measure PLAN --rig {mine} --out RUN --yes")
+    print(f"without --yes you swap what lies in the holder: echo mirror > {shlex.quote(str(folder / TARGET_FILE))}")
     if twins.tcp:
         print("\n".join(f"  {name}: {peer.port}" for name, peer in twins.peers.items()))
     if twins.replays:
-        print(f"  the camera has no twin: the images in {twins.description.devices['camera']['folder']} are replayed")
+        print(f"the camera has no twin: the images in {twins.description.devices['camera']['folder']} are replayed")
+    elif twins.video:
+        print(
+            "the USB camera has a stand-in behind OpenCV's interface, in the process that measures: 8 bits, coded as "
+            "sRGB has it; its exposures take their real time (v4l2loopback passes no exposure on, and is not used)"
+        )
     elif twins.driver != "folder":
-        print(f'  a tethered camera with RAW files stands in for driver = "{twins.driver}", which has no twin')
-    print(f"  gonio rig check --rig {shlex.quote(str(path))}")
-    print(f"  gonio measure PLAN --rig {shlex.quote(str(path))} --out RUN --yes")
+        print(f'a tethered camera with RAW files stands in for driver = "{twins.driver}", which has no twin')
     if twins.scale != 1.0:
-        print(f"  what is estimated by the rig file alone is the real rig's time, {twins.scale:g} times as long")
-    sys.stdout.flush()
+        print(f"what is estimated by the rig file alone is the real rig's time, {twins.scale:g} times as long")
 
 
 def _require_twins(description: RigDescription) -> None:
@@ -118,7 +134,8 @@ def _require_measurable(rig: str, path: Path, sample: SampleDescription | None) 
 
     try:
         choice = find_rig(str(path))
-        if choice.open().repeatable:
+        uncalibrated = choice.description.devices["camera"]["driver"] == "uvc-twin"  # as a webcam is at first
+        if choice.open(by_hand=uncalibrated).repeatable:
             raise ConfigError(
                 f'rig = "{choice.description.rig}" simulates all by itself and drives no device; rig = "lab" drives '
                 "those of the table [devices]"

@@ -1,8 +1,9 @@
 """A whole laboratory of twins: servos, lamp and camera of a rig file, around one simulated world.
 
 The lamp tells the world whether it shines, and in which band; the servos' shafts, through backlash and zero errors, are
-where the axes really stand; and the camera renders what the world looks like when its shutter opens. A tethered camera
-stands in for other kinds, which another process could not open; a sequence needs no twin, and is replayed as it is.
+where the axes really stand; and the camera renders what the world looks like when its shutter opens. A USB video camera
+has a stand-in (`gonio_sim.wire.uvc`). A tethered camera stands in for other kinds, which another process could not
+open; a sequence needs no twin, and is replayed as it is.
 """
 
 import contextlib
@@ -117,6 +118,13 @@ class _Devices(_Loose):
     interlock: _Contact | None = None
 
 
+def gamma() -> tuple[float, ...]:
+    """`camera.response` of a camera whose values are coded as IEC 61966-2-1 (sRGB) has it."""
+    coded = np.arange(256) / 255.0
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    return tuple((255.0 * linear).tolist())
+
+
 class WireWorld(World):
     """A world whose clock runs by itself, and whose frames differ, and whose lamp cools in the dark."""
 
@@ -220,6 +228,10 @@ class Twins:
         self._clock = scaled_clock(scale)
         self._bright_until_s = -math.inf
         self.world = WireWorld(description, sample, seed, self._clock)
+        truth = self.world.truth
+        if self.video and not truth.camera.response:
+            bent = truth.camera.model_copy(update={"response": gamma()})
+            self.world.truth = truth.model_copy(update={"camera": bent})
         self._render = SimulatedCamera(self.world, Renderer(self.world))
         self._looking = threading.Lock()
         self.followers: dict[str, TwinArm] = {}
@@ -316,6 +328,10 @@ class Twins:
         devices["holder"] = {"target_file": str(self._folder / TARGET_FILE)}
         if self.replays:
             devices["camera"]["folder"] = str(Path(devices["camera"]["folder"]).expanduser().absolute())
+        elif self.video:
+            devices["camera"].pop("response", None)  # the twin bends its values as it does
+            served = {"driver": "uvc-twin", "device": self._port("release"), "folder": str(self._folder / "frames")}
+            devices["camera"] |= served
         else:
             kept = devices["camera"] if self.driver == "folder" else {"driver": "folder"}
             trigger = {"how": "serial", "port": self._port("release")}
@@ -331,6 +347,11 @@ class Twins:
     def driver(self) -> str:
         """The camera that the rig file asks for."""
         return self._devices.camera.driver
+
+    @property
+    def video(self) -> bool:
+        """Whether it is a USB camera of 8 bits, of which there is a stand-in."""
+        return self.driver == "uvc" and self.world.description.camera.bits == 8
 
     @property
     def replays(self) -> bool:

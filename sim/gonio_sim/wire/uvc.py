@@ -1,21 +1,30 @@
 """A stand-in for a USB video camera: what `cv2.VideoCapture` offers, over images of a sequence or of a world.
 
 It keeps a queue of frames that were exposed before anybody asked, as V4L2 does, and can be made as stubborn as real
-cameras are.
+cameras are. `uvc_twin` is the driver "uvc" with such a stand-in, which asks `gonio sim serve` for its frames.
 """
 
+import contextlib
 from collections import deque
 from collections.abc import Callable, Iterable
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from gonio import plugins
+from gonio.errors import DataError
 from gonio.lab.rig import clock
-from gonio.typing import Array
+from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.dng import read_raw
+from gonio.typing import Array, TomlTable
 
 QUEUE = 4
+WAIT_S = 20.0
+"""So long may a frame of `gonio sim serve` take beside its exposure."""
+OLD_S = 0.5
 AUTOMATIC = 3.0
 
 
@@ -43,7 +52,7 @@ class VideoStandIn:
         self._image: Callable[[float], Array] = images if callable(images) else lambda _: next(source)  # type: ignore
         self._stubborn = frozenset(stubborn)
         self._open = present
-        first = self._image(1e-3)
+        first = self._first = self._image(1e-3)
         self._values: dict[int, float] = {
             cv2.CAP_PROP_FRAME_HEIGHT: first.shape[0],
             cv2.CAP_PROP_FRAME_WIDTH: first.shape[1],
@@ -94,7 +103,61 @@ class VideoStandIn:
     def fall_behind(self) -> None:
         """Let dark frames wait in the queue that were exposed a while ago."""
         for k in range(QUEUE):
-            self._queue.append((clock.monotonic() - 0.1 * (QUEUE - k), np.zeros_like(self._image(1e-3))))
+            self._queue.append((clock.monotonic() - 0.1 * (QUEUE - k), np.zeros_like(self._first)))
 
     def _exposure_s(self) -> float:
         return self._values[cv2.CAP_PROP_EXPOSURE] * 1e-4
+
+
+class ServedVideo(VideoStandIn):
+    """The camera of `gonio sim serve`, as a process that measures sees it. Exposures take their real time.
+
+    What is grabbed without being looked at is old: the frames that waited in the queue.
+    """
+
+    def __init__(self, port: str, folder: Path, size: tuple[int, int]) -> None:
+        import serial
+
+        super().__init__(lambda exposure_s: np.zeros(size, np.uint8))
+        self._folder = folder
+        self._line = serial.serial_for_url(port, baudrate=115_200, timeout=WAIT_S)
+
+    def grab(self) -> bool:
+        self._stamp = clock.monotonic() - OLD_S
+        return self._open
+
+    def read(self) -> tuple[bool, Array | None]:
+        begun, exposure_s = clock.monotonic(), self._exposure_s()
+        there = set(self._folder.iterdir())
+        self._line.reset_input_buffer()
+        self._line.write(f"EXPOSE {exposure_s:.9g}\n".encode())
+        if not self._open or self._line.readline().strip() != b"OK":
+            return False, None
+        while not (new := {f for f in self._folder.iterdir() if f.suffix == ".DNG"} - there):
+            if clock.monotonic() - begun > exposure_s + WAIT_S:
+                return False, None
+            clock.sleep(0.005)
+        image = None
+        for file in new:
+            with contextlib.suppress(DataError):
+                image = read_raw(file).mosaic.astype(np.uint8)
+            file.unlink()
+        clock.sleep(max(0.0, begun + exposure_s - clock.monotonic()))
+        self._stamp = clock.monotonic()
+        return image is not None, image
+
+    def release(self) -> None:
+        super().release()
+        self._line.close()
+
+
+def uvc_twin(description: RigDescription, table: TomlTable) -> Any:
+    """The entry point `uvc-twin` of `gonio.cameras`: the driver of USB cameras, which opens a `ServedVideo`.
+
+    `device` is the port at which `gonio sim serve` takes exposures, `folder` where its frames come.
+    """
+    rest = dict(table)
+    folder, size = Path(rest.pop("folder", "twin/frames")), (description.camera.height, description.camera.width)
+    return plugins.load("gonio.cameras", "uvc")(
+        description, rest, capture=lambda device, api: ServedVideo(device, folder, size)
+    )

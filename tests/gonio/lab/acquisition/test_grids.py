@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 
 from gonio.errors import ConfigError
 from gonio.geometry import direction
-from gonio.lab.acquisition.plan import Plan
+from gonio.lab.acquisition.measure import find_rig
+from gonio.lab.acquisition.plan import Plan, assess
 from gonio.lab.acquisition.plan_tables import HalfVector, Hemisphere, Spaced, even_cap
 from tests.gonio.numpy_rig import plan_in
 
@@ -226,3 +227,23 @@ def test_a_point_that_two_tables_name_is_visited_as_often_as_the_one_that_asks_f
     assert [p.theta_r_deg for p in found.points].count(20) == 2
     assert [p.theta_r_deg for p in found.points].count(10) == 1
     assert found.repeated == 1
+
+
+def test_a_leaning_sample_sees_what_its_tilt_makes_of_the_arms(tmp_path: Path) -> None:
+    """Arms and tilt of docs/conventions.md in mpmath; a rig with a tilt alone reaches every point."""
+    text = "[[sweep]]\ntheta_i_deg = [0, 30, 70]\ntheta_r_deg = [-50, 20, 60]\ntilt_deg = [-25, 40]\n"
+    points = plan(tmp_path, text).points
+    asked = [(t, i, r) for t in (-25, 40) for i in (0, 30, 70) for r in (-50, 20, 60)]
+    for point, (tilt, light, camera) in zip(points, asked, strict=True):
+        t = mpmath.radians(tilt)
+        axes = mpmath.matrix([[1, 0, 0], [0, mpmath.cos(t), -mpmath.sin(t)], [0, mpmath.sin(t), mpmath.cos(t)]])
+        seen = ((point.theta_i_deg, point.phi_i_deg, light), (point.theta_r_deg, point.phi_r_deg, -camera))
+        for theta, phi, arm in seen:
+            a = mpmath.radians(arm)
+            there = axes * mpmath.matrix([mpmath.sin(a), 0, mpmath.cos(a)])
+            assert mpmath.norm(vector(theta, phi) - there) < RIGHT
+    rig = find_rig("three-servos").description
+    poses = [assessed.pose for assessed in assess(plan(tmp_path, text), rig)]
+    assert [round(math.degrees(pose.tilt)) for pose in poses if pose is not None] == [t for t, _, _ in asked]
+    with pytest.raises(ConfigError, match="tilt_deg goes with theta_i_deg and theta_r_deg alone"):
+        plan(tmp_path, text + "dphi_deg = [90]\n")

@@ -152,10 +152,15 @@ def test_gamma_of_a_video_camera_is_found() -> None:
         linear = 255.0 * np.minimum(light * t, 1.0)
         noisy = np.interp(linear, curve, np.arange(256.0)) + random.normal(0.0, 0.5, light.shape)
         frames.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
-    found = np.array(linearity.curve(frames, exposures))
+    found, covariance = linearity.curve(frames, exposures)
     # 8 bits: half a step is 1 % of the linear value at 100, 3 % at 40
     assert np.abs(found[40:] / curve[40:] - 1.0).max() < 0.01
     assert (found[0], found[-1]) == (0.0, pytest.approx(255.0, abs=1e-9))
+    s = found[40:] / 255.0
+    u = np.sqrt(np.einsum("ks,kl,ls->s", [s, s**2], covariance, [s, s**2]))
+    off = found[40:] / curve[40:] - 1.0
+    assert 0.0 < u.max() < 0.03
+    assert np.abs(off - off[0]).max() < 5 * u.max()  # a bound on gross errors: two coefficients do not tell all
     with pytest.raises(DataError, match="3 exposures"):
         linearity.curve(frames[:2], exposures[:2])
     with pytest.raises(DataError, match="near 0 to near 255"):
@@ -167,7 +172,7 @@ def test_pairs_of_one_exposure_may_differ_as_a_lamp_does() -> None:
     light, exposures = np.geomspace(0.05, 1.6, 1600).reshape(40, 40), np.repeat(np.geomspace(0.02, 4.0, 16), 2)
     lamp = 1.0 + 0.01 * np.tile([1.0, -1.0], 16)
     frames = [np.rint(255.0 * np.minimum(light * t, 1.0)).astype(np.uint8) for t in exposures * lamp]
-    found = np.array(linearity.curve(frames, exposures))
+    found, _ = linearity.curve(frames, exposures)
     # the lamp's 1 % in each frame, of which there are 32
     assert np.abs(found[40:] / np.arange(40.0, 256.0) - 1.0).max() < 0.01
     with pytest.raises(DataError, match="a longer exposure are darker"):
