@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from gonio.errors import DataError
-from gonio.typing import Floats
+from gonio.typing import ArrayLike, Floats
 
 STATES = {
     "u": (1.0, 0.0, 0.0, 0.0),
@@ -55,6 +55,18 @@ def stokes(word: str) -> tuple[Floats, Floats]:
     if seen in PARAMETERS:
         return light, np.eye(4)[PARAMETERS.index(seen)]
     return light, np.array(STATES[seen]) * (1.0 if seen == "u" else 0.5)
+
+
+def ray_axes(theta: ArrayLike, phi: ArrayLike, *, incident: bool) -> tuple[Floats, Floats, Floats]:
+    """The way that light goes on the ray of a direction [rad], and its axes s and p: unit vectors, (..., 3) each.
+
+    k is the way, s = k x z over its length, also along the normal, where it follows phi; p = s x k.
+    """
+    theta, phi = np.broadcast_arrays(theta, phi)
+    sense = -1.0 if incident else 1.0
+    k = sense * np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    s = sense * np.stack([np.sin(phi), -np.cos(phi), np.zeros(phi.shape)], axis=-1)
+    return k, s, np.cross(s, k)
 
 
 @dataclass(frozen=True)

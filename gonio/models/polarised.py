@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gonio.geometry import Directions
+from gonio.polarisation import ray_axes
 from gonio.typing import Floats, NDArray
 
 if TYPE_CHECKING:
@@ -74,11 +75,10 @@ class Light:
     def _bases(self) -> tuple[NDArray[np.float64], NDArray[np.float64], Floats]:
         """e_r.e_i and (e_r.k_i)(e_i.k_r), (n, 2, 2) with rows s, p of the reflected field; cosine at the facet (n,)."""
         axes = []
-        for theta, phi, sense in ((self.at.theta_i, self.at.phi_i, -1.0), (self.at.theta_r, self.at.phi_r, 1.0)):
+        for theta, phi, incident in ((self.at.theta_i, self.at.phi_i, True), (self.at.theta_r, self.at.phi_r, False)):
             theta, phi = np.broadcast_to(theta, self.at.shape), np.broadcast_to(phi, self.at.shape)
-            k = sense * np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-            s = sense * np.stack([np.sin(phi), -np.cos(phi), np.zeros(phi.shape)], axis=-1)
-            axes.append((k, np.stack([s, np.cross(s, k)], axis=-2)))
+            k, s, p = ray_axes(theta, phi, incident=incident)
+            axes.append((k, np.stack([s, p], axis=-2)))
         (k_i, e_i), (k_r, e_r) = axes
         along = np.einsum("nrk,nik->nri", e_r, e_i)
         across = np.einsum("nrk,nk->nr", e_r, k_i)[:, :, None] * np.einsum("nik,nk->ni", e_i, k_r)[:, None, :]

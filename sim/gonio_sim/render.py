@@ -96,15 +96,18 @@ class Renderer:
         self._spike_reach = 2.0 * math.sin(0.5 * cones)
         # averaged over the cones, a lobe has no detail much finer than they are
         self._finest_mm = cones / self._turn / DETAIL
-        self._scenes: dict[tuple[Pose, Band, InHolder], Floats32] = {}
+        self._ends = polarised.ends(world.truth)
+        self._scenes: dict[tuple[Pose, Band, InHolder, tuple[object, ...]], Floats32] = {}
 
     def rate(self, band: Band) -> Floats32:
         """Expected electrons a second of every pixel with a fresh lamp, shape (height, width)."""
-        key = (self._world.pose, band, self._world.target)
+        key = (self._world.pose, band, self._world.target, tuple(self._world.polarisers.values()))
         if key not in self._scenes:
             while len(self._scenes) >= KEPT:
                 del self._scenes[next(iter(self._scenes))]
-            self._scenes[key] = self._render(*key)
+            world = self._world
+            self._ends = polarised.ends(world.truth, world.polarisers, world.polariser_errors)
+            self._scenes[key] = self._render(*key[:3])
         return self._scenes[key]
 
     def _render(self, pose: Pose, band: Band, target: InHolder) -> Floats32:
@@ -126,7 +129,8 @@ class Renderer:
         # A pixel that sees no plane has no weight. A model may be negative where its formula is bad (Oren-Nayar near
         # grazing), or infinite; light is not.
         rate = np.empty(brdf.shape, np.float32)
-        electrons_per_s(math.pi * description.camera.responsivity_e_per_s, seen.weight, brdf, BRIGHTEST, rate)
+        full = math.pi * description.camera.responsivity_e_per_s * self._ends.passed
+        electrons_per_s(full, seen.weight, brdf, BRIGHTEST, rate)
         return self._through_lens(rate, band, seen)
 
     def _through_lens(self, rate: Floats32, band: Band, seen: PixelMap) -> Floats32:
@@ -218,8 +222,7 @@ class Renderer:
         shared = _shared_disc(
             apart, *(math.radians(h) for h in (description.lamp.half_angle_deg, camera.lens_half_angle_deg))
         )
-        if polarised.is_on(description):
-            shared = shared * polarised.straight(description, still)
+        shared = shared * (self._ends.passed * polarised.straight(self._ends, still))
         weight = seen.falloff * (description.geometry.light_distance_mm / away) ** 2
         rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
             np.float32
@@ -262,18 +265,20 @@ class Renderer:
 
     def _lobes(self, model: models.Model, scene: View, waves: list[tuple[float, float]]) -> Function:
         """A model's lobe [1/sr] over the sample, averaged over the cones of lamp and lens."""
-        truth = self._world.truth
+        ends = self._ends
 
         def lobes(x: Floats, y: Floats) -> Floats:
             at = _directions_at(scene, x, y)
             out = np.zeros(x.shape)
             for wave, share in waves:
-                lobe = instrument.apparent_lobe(
-                    model, *at.angles, wavelength_nm=wave, tolerance=instrument.LOBE_TOLERANCE, **self._cones
-                )
-                if polarised.is_on(truth):
-                    lobe = lobe * polarised.of_lobe(truth, model, scene, at, wave)
-                out += share * lobe
+
+                def lobe(one: models.Model, wave: float = wave) -> Floats:
+                    seen = instrument.apparent_lobe(
+                        one, *at.angles, wavelength_nm=wave, tolerance=instrument.LOBE_TOLERANCE, **self._cones
+                    )
+                    return np.asarray(seen)
+
+                out += share * (lobe(model) if ends.plain else polarised.of_lobe(ends, model, lobe, scene, at, wave))
             return out
 
         return lobes
@@ -339,8 +344,8 @@ class Renderer:
         at = _directions_at(scene, seen.x_mm[rows, cols], seen.y_mm[rows, cols])
         for wave, share in waves:
             spike = instrument.apparent_spike(model, *at.angles, wavelength_nm=wave, spike="exact", **self._cones)
-            if polarised.is_on(self._world.truth):
-                spike = spike * polarised.of_spike(self._world.truth, model, scene, at, wave)
+            if not self._ends.plain:
+                spike = spike * polarised.of_spike(self._ends, model, scene, at, wave)
             brdf[rows, cols] += share * spike
 
 

@@ -13,6 +13,7 @@ from gonio.errors import ConfigError
 from gonio.lab.rig import Device, Health, Reading, Step, Target, ask_for
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band
+from gonio.lab.rig.polarisers import SIDES, PolariserMount, Side
 from gonio.samples.description import SampleDescription
 from gonio_sim.arms import SimulatedArms
 from gonio_sim.camera import SimulatedCamera
@@ -61,6 +62,27 @@ class SimulatedLight:
         self._world.lamp_on = False
 
 
+class SimulatedPolariser:
+    """A polariser of the simulated rig, as a `PolariserDevice`; out of the beam when it is made, where it can be."""
+
+    def __init__(self, world: World, side: Side, mount: PolariserMount) -> None:
+        self._world, self._side, self._mount = world, side, mount
+        self.begin()
+
+    def begin(self) -> None:
+        """Stand as every step begins."""
+        self._world.polarisers[self._side] = ("u" if self._mount.empty else "linear", 0.0)
+
+    def select(self, state: str, azimuth: float = 0.0) -> None:
+        """Take a state; see `gonio.lab.rig.protocols.PolariserDevice`."""
+        self._world.require_open(f"polariser of the {self._side}")
+        if why := self._mount.refusal(state) if state != "linear" else "":
+            raise ConfigError(f'[polarisers.{self._side}] cannot do "{state}": {why}')
+        if self._world.polarisers[self._side] != (state, azimuth):
+            self._world.polarisers[self._side] = state, azimuth
+            self._world.spend(self._mount.turn_s)
+
+
 class SimulatedRig:
     """A goniometer of arms, lamp and camera that share one `World`.
 
@@ -87,6 +109,8 @@ class SimulatedRig:
         self.arms = SimulatedArms(self.world)
         self.light = SimulatedLight(self.world)
         self.camera = SimulatedCamera(self.world, Renderer(self.world))
+        mounts = ((side, description.polarisers.on(side)) for side in SIDES)
+        self.polarisers = {side: SimulatedPolariser(self.world, side, mount) for side, mount in mounts if mount}
         self._confirm = confirm
         self._stays = False
 
@@ -94,6 +118,8 @@ class SimulatedRig:
         """Stand at rest, with the clock and the random numbers of the step."""
         self.world.begin(step.index)
         self.arms.begin()
+        for polariser in self.polarisers.values():
+            polariser.begin()
 
     def present(self, target: Target) -> None:
         """Put the sample or the white reference into the beam; asks the user where that is done by hand."""

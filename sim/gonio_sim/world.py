@@ -20,7 +20,9 @@ from gonio.lab.rig import Pose, Target
 from gonio.lab.rig.calibration_files import uncalibrated, with_keys
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band
+from gonio.lab.rig.polarisers import SIDES, Side
 from gonio.samples.description import SampleDescription
+from gonio_sim.polarised import NO_ERRORS, OUT
 
 InHolder = Target | Literal["mirror", "empty", "trap", "edge"]
 """What may lie in the beam: beside what a measurement needs, what an alignment does, and a calibration of the camera: a
@@ -47,6 +49,7 @@ class Stream(IntEnum):
     MONITOR = 8
     HOT = 9
     WANDER = 10
+    POLARISER = 11
     COSMIC = 20
 
 
@@ -110,10 +113,23 @@ class World:
         drawn = drawing * self.normal(Stream.REFERENCE) if reference.error == "drawn" else 0.0
         self.reference_scale = reference.scale * (1.0 + reference.u_rel * drawn)
         """True reflectance of the white reference over the certified one."""
+        self.polarisers: dict[Side, tuple[str, float]] = dict(OUT)
+        """How those before lamp and camera stand: state, and azimuth [rad] that the axis was turned to."""
+        self.polariser_errors = {side: self._drawn_of_polariser(number, drawing) for number, side in enumerate(SIDES)}
         self.step = 0
         self.frame = 0
         self._elapsed_s = 0.0
         self._slot_s = slot_s(self.truth)
+
+    def _drawn_of_polariser(self, number: int, drawing: float) -> tuple[float, float, float, float]:
+        """What nobody knows of a polariser; see `gonio_sim.polarised.ends`."""
+        mount = self.truth.polarisers.on(SIDES[number])
+        if mount is None:
+            return NO_ERRORS
+        azimuth, uneven = math.radians(mount.u_azimuth_deg), mount.u_transmittance
+        sizes = enumerate((mount.u_extinction, azimuth, uneven, uneven))
+        a, b, c, d = (drawing * u * self.normal(Stream.POLARISER, number, which) if u else 0.0 for which, u in sizes)
+        return a, b, c, d
 
     def begin(self, step: int) -> None:
         """Set the clock and the random numbers to the start of a step."""

@@ -56,15 +56,16 @@ def measured(
     bands: Iterable[float] = (550,),
     name: str = "run",
     sample: SampleDescription = MATTE,
+    plan: dict[str, Any] | None = None,
     **more: Any,
 ) -> Run:
-    """A run in plane on a rig of which `truth` is true."""
+    """A run in plane, unless `plan` has other keys, on a rig of which `truth` is true."""
     if truth is not None:
         (folder / "truth.toml").write_text(to_toml(truth))
         description = description.model_copy(update={"truth": str(folder / "truth.toml")})
     sweep = {"theta_i_deg": list(theta_i), "theta_r_deg": list(theta_r)}
-    plan = {"name": "p", "wavelength_nm": list(bands), "sweep": [sweep]}
-    (folder / "plan.toml").write_text(to_toml(plan))
+    keys = {"name": "p", "wavelength_nm": list(bands), "sweep": [sweep]} | (plan or {})
+    (folder / "plan.toml").write_text(to_toml(keys))
     choice = RigChoice(SIM, description, "sim")
     return carry_out(
         load_plan(folder / "plan.toml"), choice, folder / name, sample=sample, **{"seed": 1, "yes": True} | more

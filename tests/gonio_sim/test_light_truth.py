@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -107,12 +106,15 @@ def with_polarisation(lamp: tuple[float, float], camera: tuple[float, float]) ->
 GLASS = models.build("he-torrance", dict(RED.parameters))
 
 
-def lobe(lamp: tuple[float, float], camera: tuple[float, float], pose: Pose, of: Any = polarised.of_lobe) -> float:
-    """The factor on rough glass's lobe, or on its spike."""
+def factor(lamp: tuple[float, float], camera: tuple[float, float], pose: Pose, *, spike: bool = False) -> float:
+    """That on rough glass's lobe, or on its spike."""
     description = with_polarisation(lamp, camera)
     view = kinematics.view(description, pose)
     at = geometry.Directions.from_vectors(view.source_mm[None], view.camera_mm[None])
-    return float(of(description, GLASS, view, at, 550.0)[0])
+    ends = polarised.ends(description)
+    if spike:
+        return float(polarised.of_spike(ends, GLASS, view, at, 550.0)[0])
+    return float(polarised.of_lobe(ends, GLASS, lambda _: np.ones(1), view, at, 550.0)[0])
 
 
 @pytest.mark.parametrize(("azimuth", "expected"), [(0.0, 1.8), (90.0, 0.2), (45.0, 1.0)])
@@ -124,8 +126,8 @@ def test_polarised_light_at_the_brewster_angle_of_glass(azimuth: float, expected
     brewster, light, none = math.atan(1.5), (0.8, azimuth), (0.0, 0.0)
     upright = Pose(light=brewster, camera=-brewster)
     tilted = Pose(light=brewster, camera=-brewster, tilt=math.radians(35.0))
-    found = [lobe(light, none, upright), lobe(none, light, upright), lobe(light, none, tilted)]
-    found.append(lobe(light, none, upright, polarised.of_spike))
+    found = [factor(light, none, upright), factor(none, light, upright), factor(light, none, tilted)]
+    found.append(factor(light, none, upright, spike=True))
     # amplitudes of 1e-16 at the Brewster angle: rounding
     assert found == pytest.approx([expected] * 4, abs=1e-9)
 
@@ -133,11 +135,13 @@ def test_polarised_light_at_the_brewster_angle_of_glass(azimuth: float, expected
 def test_crossed_polarisers_at_normal_incidence_and_straight_through() -> None:
     at_normal = Pose(light=math.radians(0.01), camera=math.radians(-0.01))
     # seen from the sample both azimuths are counted alike: a mirror image turns the other way
-    found = [lobe((1.0, 20.0), (1.0, azimuth), at_normal) for azimuth in (20.0, 110.0, 65.0)]
+    found = [factor((1.0, 20.0), (1.0, azimuth), at_normal) for azimuth in (20.0, 110.0, 65.0)]
     assert found == pytest.approx([2.0, 0.0, 1.0], abs=1e-6)  # 0.01 degrees off the normal: 1e-6
     opposite = Pose(light=math.radians(90), camera=math.radians(-90))
     description = with_polarisation((1.0, 20.0), (1.0, -20.0))
-    assert polarised.straight(description, kinematics.view(description, opposite)) == pytest.approx(2.0, abs=1e-12)
+    assert polarised.straight(polarised.ends(description), kinematics.view(description, opposite)) == pytest.approx(
+        2.0, abs=1e-12
+    )
 
 
 def test_a_matt_sample_does_not_notice_polarisation(rig: Callable[..., SimulatedRig]) -> None:

@@ -212,11 +212,15 @@ def _with_polarisers(data: Observations, model: Any) -> Observations:
     causes, columns = list(known.causes), list(known.common.T)
     for which, number in itertools.product(("light", "receiver"), ("azimuth", "extinction")):
         cause, u = f"{which}_{number}", getattr(getattr(data.polarisers, which), f"u_{number}")
-        if u > 0.0 and cause not in causes:
+        if u > 0.0:
             up, down = (replace(data, polarisers=data.polarisers.moved(which, number, by)) for by in (u, -u))
-            causes.append(cause)
-            columns.append(0.5 * (apparent(model, up, quick=True) - apparent(model, down, quick=True)))
-    if len(causes) == len(known.causes):
+            column = 0.5 * (apparent(model, up, quick=True) - apparent(model, down, quick=True))
+            if cause in causes:  # as the table had it, which knew no model
+                columns[causes.index(cause)] = column
+            else:
+                causes.append(cause)
+                columns.append(column)
+    if not columns:
         return data
     return replace(data, covariance=replace(known, common=np.stack(columns, axis=1), causes=tuple(causes)))
 

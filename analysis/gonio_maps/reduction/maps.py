@@ -77,6 +77,8 @@ def require(run: Run, path: Path, pixel_mm: float | None) -> None:
         raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it, or give --map another name")
     if not os.access(path.parent, os.W_OK):
         raise ConfigError(f"{path}: the folder {path.parent} cannot be written; give --map another name")
+    if run.settings.run.polarisation:
+        raise ConfigError(f"{run.path}: is of polarised light, and a map is of unpolarised light; leave --map out")
     if filling(description) == "under":
         raise ConfigError(
             f'{run.path}: rig "{description.name}": lamp.beam_diameter_mm = {description.lamp.beam_diameter_mm:g} is'

@@ -73,6 +73,8 @@ class Durations:
         """Whether a move may have to go by other poses, around bodies or where a cable would be torn."""
         axes, approach, limits = description.axes(), description.approach_deg(), description.limits_deg()
         self._names = tuple(axes)
+        states = len({band.polarisation for band in self.bands})
+        self._turns_s = states * description.polarisers.turn_s if states > 1 else 0.0
         self.speed = np.radians([axis.speed_deg_per_s for axis in axes.values()])
         self.approach = np.radians([approach[name] for name in axes])
         self.limits = np.radians([limits[name] for name in axes]).T
@@ -139,10 +141,14 @@ class Durations:
         if step.kind == "dark":
             return sum(acquisition.dark_frames * (t + overhead) for t in exposure.dark_exposures_s(self.description))
         if step.kind == "reference":
-            return len(self.bands) * self._band_s(step, 1.0)
+            reflectance = 1.0
         if isinstance(reflectance, Mapping):
             return math.fsum(self._band_s(step, reflectance[band.name]) for band in self.bands)
-        return len(self.bands) * self._band_s(step, EXPECTED_ALBEDO if reflectance is None else float(reflectance))
+        reflectance = EXPECTED_ALBEDO if reflectance is None else float(reflectance)
+        if not self.description.polarisers.sides():
+            return len(self.bands) * self._band_s(step, reflectance)
+        shares = (self.description.polarisers.passed(band.polarisation) for band in self.bands)
+        return self._turns_s + math.fsum(self._band_s(step, reflectance * share) for share in shares)
 
     def _band_s(self, step: Step, reflectance: float) -> float:
         """In one band."""

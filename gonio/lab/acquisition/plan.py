@@ -29,6 +29,8 @@ from gonio.lab.rig.inverse_kinematics import Unreachable, reach
 from gonio.lab.rig.kinematics import directions, view
 from gonio.lab.rig.laboratory import Laboratory
 from gonio.lab.rig.light_and_camera import Band
+from gonio.lab.rig.polarisers import in_states, letters
+from gonio.polarisation import UNPOLARISED
 from gonio.typing import TomlTable
 
 SAME_DEG = 1e-7
@@ -65,6 +67,8 @@ class PlanFile(Strict):
 
     name: str
     wavelength_nm: tuple[Positive, ...]
+    polarisation: tuple[str, ...] = ()
+    """States of light and analyser (`gonio.polarisation`), all of them at each point; none: unpolarised."""
     order: Order = "as-written"
     """"short": the rig's travel is made short (`gonio.lab.acquisition.duration`)."""
     reference_every: Annotated[int, Field(ge=0)] | None = None
@@ -83,6 +87,16 @@ class PlanFile(Strict):
             raise ValueError("the list is empty; give at least one wavelength in nanometres")
         return value
 
+    @field_validator("polarisation", mode="before")
+    @classmethod
+    def _states(cls, value: object) -> object:
+        value = [value] if isinstance(value, str) else value
+        if isinstance(value, list):
+            for word in value:
+                if value.count(word) > 1:
+                    raise ValueError(f'"{word}" is there {value.count(word)} times; name each state once')
+        return value
+
     @field_validator("sweep", "half_vector", "hemisphere", "points", mode="before")
     @classmethod
     def _several(cls, value: object, info: ValidationInfo) -> object:
@@ -97,6 +111,8 @@ class PlanFile(Strict):
                 "the plan has no points; add a [[sweep]], [[half_vector]], [[hemisphere]] or [[points]] table, or "
                 "[adaptive]"
             )
+        if self.adaptive and self.polarisation:
+            raise ValueError("polarisation: a sampler ([adaptive]) chooses for unpolarised light; leave one out")
         return self
 
 
@@ -136,6 +152,8 @@ class Plan:
     """How many directions of half-vector grids were left out because no light can take them."""
     laboratory: Laboratory | None = None
     """Who measures what, for records; no part of what tells plans apart."""
+    polarisation: tuple[str, ...] = ()
+    """States of light and analyser that every point is measured in; none: unpolarised."""
 
     @property
     def directions(self) -> Directions:
@@ -145,31 +163,46 @@ class Plan:
     @property
     def sha256(self) -> str:
         """What tells plans apart: a hash of points and wavelengths; name, comments and layout are free."""
-        return points_sha256(self.wavelength_nm, self._rows, self.adaptive)
+        return points_sha256(self.wavelength_nm, self._rows, self.adaptive, self.polarisation)
 
     @property
     def _rows(self) -> list[list[float]]:
         return [[p.theta_i_deg, p.phi_i_deg, p.theta_r_deg, p.phi_r_deg] for p in self.points]
 
     def bands(self, description: RigDescription) -> tuple[Band, ...]:
-        """The rig's bands that contain the plan's wavelengths, each once.
+        """The rig's bands that contain the plan's wavelengths, each once; each in every state of polarisation.
 
         Raises
         ------
         ConfigError
-            A wavelength lies in no band of the rig.
+            A wavelength lies in no band of the rig, or its polarisers cannot do a state.
         """
         try:
-            return tuple(dict.fromkeys(description.bands.containing(w) for w in self.wavelength_nm))
+            for word in self.polarisation or (UNPOLARISED,):
+                description.polarisers.require(word)
+                if description.reference.how == "beam" and "u" not in letters(word):
+                    raise ConfigError(
+                        f'polarisation = "{word}": with reference.how = "beam" the camera looks into the lamp through '
+                        "both polarisers, which tells nothing of a white; take a white reference"
+                    )
+            bands = tuple(dict.fromkeys(description.bands.containing(w) for w in self.wavelength_nm))
+            return in_states(bands, self.polarisation)
         except ConfigError as error:
             raise ConfigError(f"{self.source}: {error}") from None
 
 
-def points_sha256(wavelength_nm: Sequence[float], rows: list[list[float]], adaptive: Adaptive | None = None) -> str:
-    """The hash of wavelengths and points, the four angles [deg] of each; see `Plan.sha256`."""
+def points_sha256(
+    wavelength_nm: Sequence[float],
+    rows: list[list[float]],
+    adaptive: Adaptive | None = None,
+    states: Sequence[str] = (),
+) -> str:
+    """The hash of wavelengths, of points, the four angles [deg] of each, and of states; see `Plan.sha256`."""
     content: list[Any] = [list(wavelength_nm), rows]
     if adaptive is not None:
         content.append(adaptive.model_dump(mode="json"))
+    if states:
+        content.append(list(states))
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
@@ -215,7 +248,7 @@ def load_plan(path: str | Path) -> Plan:
         )
     return Plan(
         file.name, file.wavelength_nm, points, repeated, str(path), file.adaptive, file.order, file.reference_every,
-        below, file.laboratory,
+        below, file.laboratory, file.polarisation,
     )  # fmt: skip
 
 

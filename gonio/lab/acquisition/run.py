@@ -58,6 +58,7 @@ from gonio.lab.rig import Step
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.laboratory import Laboratory
 from gonio.lab.rig.light_and_camera import Band
+from gonio.lab.rig.polarisers import in_states
 from gonio.platform import sync_folder
 from gonio.samples.description import SampleDescription
 from gonio.typing import DataFrame, Floats, JsonObject
@@ -208,8 +209,9 @@ class Run:
     @cached_property
     def bands(self) -> tuple[Band, ...]:
         """The bands that every point is measured in, in order."""
-        known = {band.name: band for band in self.description.bands.all()}
-        return tuple(known[name] for name in self.settings.run.bands)
+        header = self.settings.run
+        known = {band.name: band for band in in_states(self.description.bands.all(), header.polarisation)}
+        return tuple(known[name] for name in header.bands)
 
     @property
     def plan(self) -> DataFrame:
@@ -313,7 +315,8 @@ class Run:
             told = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             raise DataError(f"{path}: cannot be read as the points of the run: {told}; {RESTORE}") from None
         table = np.concatenate(angles)
-        if own is None and points_sha256(run.wavelength_nm, table.tolist(), self.settings.adaptive) != run.plan_sha256:
+        asked = run.wavelength_nm, table.tolist(), self.settings.adaptive, run.polarisation
+        if own is None and points_sha256(*asked) != run.plan_sha256:
             raise DataError(f"{path}: does not hold the points that the run was begun with; {RESTORE}")
         return Points(table, flags, reasons)
 

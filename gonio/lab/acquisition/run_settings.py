@@ -44,6 +44,9 @@ class Header(Strict):
     plan_sha256: str
     wavelength_nm: tuple[float, ...]
     bands: tuple[str, ...]
+    """Each in its state of polarisation."""
+    polarisation: tuple[str, ...] = ()
+    """States that all bands are measured in; none: unpolarised."""
     rig: str
     """The entry point that drove it."""
     seed: int
@@ -97,6 +100,7 @@ def settings_for(request: RunRequest, description: RigDescription) -> RunSetting
             plan_sha256=request.plan.sha256,
             wavelength_nm=request.plan.wavelength_nm,
             bands=tuple(band.name for band in request.plan.bands(description)),
+            polarisation=request.plan.polarisation,
             rig=description.rig,
             seed=request.seed,
             id=secrets.token_hex(16),

@@ -25,6 +25,7 @@ from gonio.lab.rig import Frame, Pose, Reading, Rig, Step, Target
 from gonio.lab.rig.kinematics import View, left_its_side, view
 from gonio.lab.rig.light_and_camera import Band
 from gonio.lab.rig.motion_planning import Blocked, route
+from gonio.lab.rig.polariser_axes import opened, settings
 from gonio.lab.rig.protocols import Monitors
 from gonio.lab.rig.regions import Roi, require_frame, roi
 
@@ -99,6 +100,7 @@ class _Session:
         """When the last steps were taken, on a clock that stands still while the disk is waited for."""
         self._waited_s = 0.0
         """How long the disk was waited for so far."""
+        self._polarisers = opened(rig)
         self._store = Store(run.path / "frames")
         self._holding = Holding(run, progress, stop, rig.time_s, self._darken, lambda: require(rig))
         self._names = slugs(run.bands)
@@ -379,7 +381,9 @@ class _Session:
         """Meter and measure one band: its level for one second, and the level of the last full frame."""
         description, rig = self._description, self._rig
         region: Roi = roi(description, seen, target, band.channel)
-        rig.light.select(band)
+        for side, state, azimuth in settings(description, seen, target, band.polarisation):
+            self._polarisers[side].select(state, azimuth)
+        rig.light.select(band.alone)
         if not self._lit:
             rig.light.on()
             self._lit = True

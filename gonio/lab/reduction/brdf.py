@@ -15,7 +15,7 @@ import numpy as np
 
 from gonio.errors import ConfigError, DataError
 from gonio.lab.acquisition.run import Run
-from gonio.lab.reduction import angle_errors, light_and_lens, reference_table, white_reference
+from gonio.lab.reduction import angle_errors, light_and_lens, polarised, reference_table, white_reference
 from gonio.lab.reduction.angle_errors import change_of_cosine, encoder_steps, is_behind, turned_over
 from gonio.lab.reduction.count_rates import RunFrames
 from gonio.lab.reduction.dark_signal import PATTERNS
@@ -73,7 +73,8 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         points share, where they differ), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`, `s_spin_zero`; `s_geometry_1` to at most `s_geometry_4` (what a
         calibration leaves open of the rig's geometry); and where the rig file or a calibration tells of them
-        `s_linearity`, `s_stray_light`, `s_beam`, `s_polarisation_1` to `_12`, `s_wavelength`, `s_bandwidth`. A
+        `s_linearity`, `s_stray_light`, `s_beam`, `s_polarisation_1` to `_12`, `s_wavelength`, `s_bandwidth`; of
+        polarised values `s_light_extinction`, `s_light_azimuth` and the same of the receiver. A
         plan with points behind the sample gives a column `side`.
 
     Raises
@@ -97,7 +98,10 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         reduced.append(steps)
     frames.require_no_repeats()
     results = [_reduce_band(frames, band, steps) for band, steps in zip(run.bands, reduced, strict=True)]
-    light_and_lens.add_wavelength(frames.description, results)
+    for word in dict.fromkeys(band.polarisation for band in run.bands):
+        alike = [result for result in results if result.band.polarisation == word]
+        light_and_lens.add_wavelength(frames.description, alike)
+    polarised.add_polarisers(frames.description, results)
     columns = (("dark", DARK), ("prnu", PRNU), ("geometry", GEOMETRY), ("visits", LAMP), ("polarisation", POLARISATION))
     for part, names in columns:
         if part in results[0].values.shared:
@@ -237,6 +241,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
             f"{run.path / 'run.toml'}: the rig has neither reference.albedo (above 0) nor reference.table: "
             "nothing says how bright the white reference is"
         )
+    known = known * polarised.of_white(band.polarisation)
     encoder = encoder_steps(description)
     landing = sum(change_of_cosine(description, visits[0], axis, u) ** 2 for axis, u in encoder.items())
     variances = np.array([visit.variance for visit in visits]) + landing * rates**2

@@ -31,6 +31,7 @@ from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.dng import pixels_sha256, read_raw
 from gonio.lab.rig.imaging import Channel, pixel_map
 from gonio.lab.rig.light_and_camera import Band, Camera, by_coefficients, linear_dn, read_maps, straightened
+from gonio.lab.rig.polariser_axes import throughput
 from gonio.lab.rig.regions import Roi, filling, per_weight, roi, straight_through_weight
 from gonio.threads import in_threads
 from gonio.typing import Array, Bools, DataFrame, Floats
@@ -309,6 +310,9 @@ class RunFrames:
         region = self.region(step, band.channel)
         if region is None:
             return None
+        passes = throughput(self.description, step.pose, region.target, band.polarisation)
+        if passes != 1.0:
+            region = replace(region, per_weight=region.per_weight / passes)
         read = ((entry, self.read_or_note(step, entry)) for entry in lit_frames(step, band))
         return region, [self._shot(region, frame, entry, band.channel) for entry, frame in read if frame is not None]
 

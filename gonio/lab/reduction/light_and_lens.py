@@ -29,7 +29,9 @@ import math
 
 import numpy as np
 
+from gonio.lab.reduction import polarised
 from gonio.lab.reduction.count_rates import camera_parameters
+from gonio.lab.reduction.polarised import FACET
 from gonio.lab.reduction.unknown_shape import of_unknown_shape
 from gonio.lab.reduction.values import BandResult, Cause, MeasuredBand, Values
 from gonio.lab.rig import Pose, imaging, kinematics, regions
@@ -38,10 +40,9 @@ from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band, Beam, Polarisation
 from gonio.lab.rig.protocols import Target
 from gonio.lab.rig.regions import filling
+from gonio.polarisation import UNPOLARISED
 from gonio.typing import Floats
 
-FACET = 1.5
-"""Index of refraction of the facets that a sample may reflect with: glass and polymers; metals polarise less."""
 BEAM = tuple(f"lamp.beam.{name}" for name in Beam.model_fields)
 SIGMA = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))
 """Standard deviation of a band of Gaussian shape over its full width at half maximum."""
@@ -61,11 +62,19 @@ def polarisation(measured: MeasuredBand, values: Values) -> None:
 
     Its size is a bound at each point, and its shape over the directions is not known (`of_unknown_shape`).
     """
-    description = measured.description
+    description, word = measured.description, measured.band.polarisation
+    effects = []
     if description.lamp.polarisation.degree or description.camera.polarisation.degree:
-        bounds = [polarisation_bound(description, point.pose) for point in measured.points]
+        if word == UNPOLARISED:
+            bounds = [polarisation_bound(description, point.pose) for point in measured.points]
+        else:
+            bounds = [polarised.bound(description, point.pose, word) for point in measured.points]
         u = values.brdf * (np.array(bounds) / math.sqrt(3.0))
-        values.shared["polarisation"] = u[:, None] * of_unknown_shape([point.directions for point in measured.points])
+        effects.append(u[:, None] * of_unknown_shape([point.directions for point in measured.points]))
+    if description.polarisers.sides():
+        effects.append(polarised.uneven(measured, values.brdf))
+    if effects:
+        values.shared["polarisation"] = np.concatenate(effects, axis=1)
 
 
 def _beam(measured: MeasuredBand, covariance: Floats, brdf: Floats) -> tuple[Floats, Floats]:
@@ -154,7 +163,7 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
     over a band differs by from the value at its centre.
     """
     u = centre_uncertainties(description)
-    if len(results) < 2 or not any(u[result.band.name] for result in results):
+    if len(results) < 2 or not any(u[result.band.alone.name] for result in results):
         return
     points = np.unique(np.concatenate([result.rows for result in results]))
     brdf = np.full((points.size, len(results)), math.nan)
@@ -174,7 +183,7 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
         for k, slope, curvature in zip(there.tolist(), slopes, curvatures, strict=True):
             result = results[int(order[k])]
             place = np.searchsorted(result.rows, row)
-            found = slope * u[result.band.name], 0.5 * curvature * (SIGMA * result.band.fwhm_nm) ** 2
+            found = slope * u[result.band.alone.name], 0.5 * curvature * (SIGMA * result.band.fwhm_nm) ** 2
             for name, change in zip(names, found, strict=False):
                 result.values.common[name][place] = change
 
@@ -190,8 +199,9 @@ def _curvatures(values: Floats, x: Floats) -> Floats:
 
 def notes(description: RigDescription, results: list[BandResult]) -> list[str]:
     """What the budget lacks, where a calibration tells of the bands and the run does not tell their effect."""
+    results = [result for result in results if result.band.polarisation == results[0].band.polarisation]
     u = centre_uncertainties(description)
-    if len(results) > 2 or not any(u[result.band.name] for result in results):
+    if len(results) > 2 or not any(u[result.band.alone.name] for result in results):
         return []
     one = len(results) == 1
     return [

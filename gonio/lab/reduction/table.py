@@ -38,7 +38,7 @@ from gonio.checks.verdicts import Check, FramesTaken, VisitsOfBand, of_run, of_v
 from gonio.geometry import ANGLES_DEG, SAME_AZIMUTH, Directions, half_angle_of_cone
 from gonio.lab.acquisition.resuming import unfinished
 from gonio.lab.acquisition.run import Run
-from gonio.lab.reduction import light_and_lens, reference_table, white_reference
+from gonio.lab.reduction import light_and_lens, polarised, reference_table, white_reference
 from gonio.lab.reduction.angle_errors import CAUSES, angle_axes, encoder_steps, zero_uncertainties
 from gonio.lab.reduction.count_rates import FULL, RETAKE, RunFrames
 from gonio.lab.reduction.dark_signal import COLUMNS
@@ -46,6 +46,8 @@ from gonio.lab.reduction.values import BandResult
 from gonio.lab.rig import kinematics
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.regions import filling
+from gonio.measurement import unpolarised
+from gonio.polarisation import UNPOLARISED
 from gonio.typing import Bools, DataFrame, Floats, NDArray
 
 DAMAGED = "missing or damaged and are left out"
@@ -85,7 +87,8 @@ def assemble(frames: RunFrames, results: list[BandResult]) -> DataFrame:
         source_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[0])),
         receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
         bands=[result.band.model_dump() for result in results],
-        polarisation="unpolarised",
+        polarisation=words[0] if len(words := list(dict.fromkeys(frame["polarisation"]))) == 1 else ", ".join(words),
+        **({"polarisers": stated} if (stated := polarised.stated(description)) and words != [UNPOLARISED] else {}),
         source_file=str(run.path),
         sample=run.sample.name if run.sample is not None else None,
         provenance={
@@ -103,7 +106,7 @@ def assemble(frames: RunFrames, results: list[BandResult]) -> DataFrame:
         },
         notes=[f"calibration {remark}; it was used all the same" for remark in description.calibration.remarks]
         + notes
-        + (reference_table.notes(stated) if (stated := description.reference.table) else [])
+        + (reference_table.notes(white) if (white := description.reference.table) else [])
         + _notes_on_zeros(description)
         + light_and_lens.notes(description, results)
         + said_once([(result.band.name, _notes(result, nominal[result.rows])) for result in results]),
@@ -143,7 +146,8 @@ def _rows(frames: RunFrames, results: list[BandResult], *, of_angles: bool) -> t
                 column[rows[good], k] = columns[name][good]
     frame = pd.DataFrame(dict(zip(numbers, values.reshape(len(numbers), -1), strict=True)))
     frame.insert(len(ANGLES_DEG), "wavelength_nm", np.tile([result.band.centre_nm for result in results], len(plan)))
-    frame.insert(len(ANGLES_DEG) + 1, "polarisation", "unpolarised")
+    words = np.array([result.band.polarisation for result in results], dtype=object)
+    frame.insert(len(ANGLES_DEG) + 1, "polarisation", np.tile(words, len(plan)))
     frame["flag"] = pd.Series(flags.ravel().tolist(), dtype=str)
     return frame, flags
 
@@ -156,8 +160,8 @@ def _checks(frames: RunFrames, frame: DataFrame, results: list[BandResult], flag
         for k, result in enumerate(results)
         for one in _of_band(result, [f for f, use in zip(flags[:, k], reachable, strict=True) if use], frames.clipped)
     ]
-    for nm, measured_values in values_of(frame).items():
-        band = next((result.band.name for result in results if result.band.centre_nm == nm), "")
+    for nm, measured_values in values_of(unpolarised(frame).query(f"polarisation == '{UNPOLARISED}'")).items():
+        band = next((result.band.alone.name for result in results if result.band.centre_nm == nm), "")
         found += [replace(one, band=band) for one in of_values(measured_values)]
     return found
 
@@ -401,6 +405,8 @@ def assemble_budget(table: DataFrame, bands: list[BandResult]) -> DataFrame:
 
     causes = [name for name in table.columns if name.startswith("s_")]
     kept = [*ANGLES_DEG, "wavelength_nm", *(["side"] if "side" in table.columns else []), "brdf", "u_brdf"]
+    if (table["polarisation"] != UNPOLARISED).any():
+        kept.insert(len(ANGLES_DEG) + 1, "polarisation")
     parts = list(dict.fromkeys([*COMPONENTS, *(name for band in bands for name in band.values.own)]))
     rows, numbers = len(table), [*parts, "nu_eff", "coarse", "cone_difference"]
     values = np.full((len(numbers), rows), math.nan)

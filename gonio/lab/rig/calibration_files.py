@@ -44,7 +44,7 @@ FIXED = {
 """Keys that tell one rig from another, beside its name, driver, axes and encoders: no calibration changes them."""
 
 
-TABLES = ("geometry", "arms", "holder", "lamp", "camera", "reference", "bands")
+TABLES = ("geometry", "arms", "holder", "lamp", "camera", "polarisers", "reference", "bands")
 """Tables of the rig file that a calibration may have measured."""
 
 

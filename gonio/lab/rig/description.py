@@ -22,6 +22,7 @@ from gonio.lab.rig.calibration_use import CalibrationUse
 from gonio.lab.rig.health import Reading
 from gonio.lab.rig.laboratory import Laboratory
 from gonio.lab.rig.light_and_camera import Bands, Camera, Lamp
+from gonio.lab.rig.polarisers import PolariserMounts
 from gonio.samples.description import SampleDescription as SampleDescription
 from gonio.typing import TomlTable
 
@@ -413,6 +414,8 @@ class RigDescription(Strict):
     holder: Holder = Holder()
     lamp: Lamp = Lamp()
     camera: Camera = Camera()
+    polarisers: PolariserMounts = PolariserMounts()
+    """Before the lamp, before the camera, or both."""
     reference: Reference = Reference()
     bands: Bands
     acquisition: Acquisition = Acquisition()

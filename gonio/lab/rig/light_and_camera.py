@@ -24,6 +24,7 @@ from pydantic import Field, model_validator
 from gonio.config import Fraction, NonNegative, Positive, SmallAngle, Strict
 from gonio.disk import read_file, write_whole
 from gonio.errors import ConfigError
+from gonio.polarisation import UNPOLARISED
 from gonio.typing import Array, ArrayLike, Bools, Floats, NDArray
 
 
@@ -207,6 +208,16 @@ class Band(Strict):
     centre_nm: Positive
     fwhm_nm: Positive
     channel: Literal["mono", "R", "G", "B"] = "mono"
+
+    @property
+    def polarisation(self) -> str:
+        """The state of light and analyser that it is measured in, a word of `gonio.polarisation`."""
+        return UNPOLARISED
+
+    @property
+    def alone(self) -> "Band":
+        """The band of the rig, whatever state it is measured in."""
+        return self
 
 
 class Tunable(Strict):

@@ -114,6 +114,26 @@ class CameraDevice(Protocol):
         """One frame that was exposed wholly after this call."""
 
 
+class PolariserDevice(Protocol):
+    """A polariser on an arm; out of the beam after construction, where it has an empty place."""
+
+    def select(self, state: str, azimuth: float = 0.0) -> None:
+        """Take a state, and wait until it is there.
+
+        "u": out of the beam. "linear": in it, with its axis at an azimuth [rad] (`gonio.lab.rig.polariser_axes`), which
+        means the same half a turn on. "r", "l": circular.
+        """
+
+
+@runtime_checkable
+class Polarises(Protocol):
+    """A rig with polarisers: those that `polarisers` of its rig file names."""
+
+    @property
+    def polarisers(self) -> Mapping[str, PolariserDevice]:
+        """By `light` and `receiver`."""
+
+
 class Rig(Protocol):
     """A goniometer that is open."""
 

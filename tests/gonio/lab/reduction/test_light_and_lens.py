@@ -9,7 +9,8 @@ import pytest
 
 from gonio.lab.acquisition.exposure import USABLE
 from gonio.lab.reduction import light_and_lens, merging, stray_light
-from gonio.lab.reduction.light_and_lens import FACET, _curvatures, diattenuation, polarisation_bound
+from gonio.lab.reduction.light_and_lens import _curvatures, diattenuation, polarisation_bound
+from gonio.lab.reduction.polarised import FACET
 from gonio.lab.rig import Pose
 from gonio.lab.rig.light_and_camera import Camera
 from tests.gonio_sim.conftest import describe
