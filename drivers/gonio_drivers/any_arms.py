@@ -101,7 +101,7 @@ class AllAxes(ABC, Generic[J]):
         motion_planning.require_parking(description, park, table + ".axes.{}.park_deg")
         self._description = description
         self.every = every
-        """All axes of the rig file, `absent` ones too, and the changer."""
+        """All axes of the rig file, `absent` ones too, changer and polarisers."""
         self.joints: dict[str, J] = {}
         """The joints that are used."""
         self.last: ArmsReading | None = None

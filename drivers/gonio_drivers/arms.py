@@ -63,6 +63,9 @@ class ServoArms(AllAxes[joints.Joint]):
         }
         if servos.changer is not None:
             every["changer"] = preparation.changer_joint(self.bus, servos.changer, description.acquisition.approach_deg)
+        for side, servo in servos.polarisers.items():
+            joint = preparation.polariser_joint(self.bus, side, servo, description.acquisition.approach_deg)
+            every[joint.name] = joint
         super().__init__(description, every, "devices.servos")
         self.joints.update(every)
         for joint in every.values():
@@ -210,6 +213,10 @@ class ServoArms(AllAxes[joints.Joint]):
         if changer is None:
             raise ConfigError("devices.servos.changer is missing: the rig has no servo that changes the sample")
         self._move({"changer": changer.sample_deg if target == "sample" else changer.reference_deg})
+
+    def polarise(self, side: str, azimuth_deg: float) -> None:
+        """Turn a polariser to an azimuth, at most 90 to either side."""
+        self._move({f"polariser_{side}": azimuth_deg})
 
     def still(self) -> None:
         """Raise where an axis has left the place where it landed, or has let go of its torque.

@@ -106,6 +106,8 @@ class Joint(BusServo, AnyJoint):
     @property
     def key(self) -> str:
         """The table of the rig file that describes it."""
+        if self.name.startswith("polariser_"):
+            return "devices.servos.polarisers." + self.name.removeprefix("polariser_")
         return "devices.servos.changer" if self.name == "changer" else f"devices.servos.axes.{self.name}"
 
     @property

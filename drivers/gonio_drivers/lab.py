@@ -5,6 +5,7 @@ that have failed, or that somebody has stopped, are left where they stand.
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -24,7 +25,7 @@ from gonio.errors import (
     PassingFault,
     os_error_as,
 )
-from gonio.lab.rig import Device, Frame, Health, Step, Target, ask_for, clock
+from gonio.lab.rig import Device, Frame, Health, PolariserDevice, Step, Target, ask_for, clock
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Camera
 from gonio.lab.rig.regions import require_frame
@@ -101,6 +102,20 @@ class GuardedCamera:
         raise PassingFault(f"the lamp on {self._light} does not stay as it is set, over {RETAKES} exposures", "lamp")
 
 
+@dataclass(frozen=True, slots=True)
+class ServoPolariser:
+    """A polariser that a servo on the arms' bus turns, as a `PolariserDevice`."""
+
+    arms: ServoArms
+    side: str
+
+    def select(self, state: str, azimuth: float = 0.0) -> None:
+        """Turn its axis; other states than "linear" are refused, as the rig file cannot promise them."""
+        if state != "linear":
+            raise ConfigError(f'[polarisers.{self.side}]: a servo turns the polariser, and cannot do "{state}"')
+        self.arms.polarise(self.side, math.degrees(azimuth))
+
+
 class LabRig:
     """A goniometer of servos, lamp and camera.
 
@@ -122,6 +137,9 @@ class LabRig:
         self.description = description
         self.light = SerialLight(description, devices.light)
         self.arms = _arms(description, devices)
+        self.polarisers: dict[str, PolariserDevice] = {}
+        if isinstance(self.arms, ServoArms):
+            self.polarisers = {side: ServoPolariser(self.arms, side) for side in description.polarisers.sides()}
         self._camera: cameras.OpenableCamera
         try:
             self._camera = cameras.build(description, devices.camera)

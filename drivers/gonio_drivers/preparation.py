@@ -39,6 +39,14 @@ def changer_joint(bus: Bus, changer: settings.Changer, approach_deg: float) -> J
     return _checked(Joint("changer", axis, limits, approach_deg, None, bus, changer.id, table, servo=changer))
 
 
+def polariser_joint(bus: Bus, side: str, servo: settings.PolariserServo, approach_deg: float) -> Joint:
+    """The joint of a polariser, which turns by a quarter of a turn to both sides; errors as of `joint_of`."""
+    limits = -90.0 - max(0.0, approach_deg), 90.0 - min(0.0, approach_deg)
+    table = control_table.of_model(servo.model, f"devices.servos.polarisers.{side}.model")
+    axis = Axis(speed_deg_per_s=servo.speed_deg_per_s)
+    return _checked(Joint(f"polariser_{side}", axis, limits, approach_deg, None, bus, servo.id, table, servo=servo))
+
+
 def _checked(joint: Joint) -> Joint:
     servo, homing, gear = joint.servo, joint.servo.homing, joint.servo.gear_ratio
     if servo.current_limit is not None and "Current Limit" not in joint.table:

@@ -111,9 +111,7 @@ class ServoService:
     def reboot(self, description: RigDescription, axes: Sequence[str] = ()) -> dict[str, str]:
         """Restart the servos of axes (of all, without `axes`); by axis, "" or why it failed. Their torque goes off."""
         servos = _servos(description)
-        there: dict[str, settings.ServoAxis] = {str(name): axis for name, axis in servos.axes.items()}
-        if servos.changer is not None:
-            there["changer"] = servos.changer
+        there = servos.everything()
         _require_known(axes, there)
         out: dict[str, str] = {}
         with dynamixel.Bus(servos.port, servos.baud) as bus:

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from gonio.config import NonNegative, Positive, Strict
 from gonio.errors import ConfigError
 from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.polarisers import SIDES, Side
 from gonio.typing import TomlTable
 
 AxisName = Literal["light", "camera", "tilt", "spin", "azimuth"]
@@ -83,6 +84,12 @@ class Changer(ServoAxis):
     speed_deg_per_s: Positive = 30.0
 
 
+class PolariserServo(ServoAxis):
+    """The servo that turns a polariser: at 0 deg its axis lies along the axis of the arms."""
+
+    speed_deg_per_s: Positive = 90.0
+
+
 class Servos(Strict):
     """The servos of all axes, on one port."""
 
@@ -96,11 +103,19 @@ class Servos(Strict):
     """How long an axis must stand still before it has landed."""
     changer: Changer | None = None
     """A servo that puts sample or white reference into the beam (`reference.how = "axis"`)."""
+    polarisers: dict[Side, PolariserServo] = Field(default_factory=dict)
+    """Those that turn the rig's polarisers."""
     on_exit: Literal["torque-off", "hold"] = "torque-off"
+
+    def everything(self) -> dict[str, ServoAxis]:
+        """All servos, by the names of their joints."""
+        out: dict[str, ServoAxis] = {str(name): axis for name, axis in self.axes.items()}
+        out |= {"changer": self.changer} if self.changer is not None else {}
+        return out | {f"polariser_{side}": one for side, one in self.polarisers.items()}
 
     @model_validator(mode="after")
     def _distinct(self) -> Servos:
-        ids = [axis.id for axis in self.axes.values()] + ([self.changer.id] if self.changer else [])
+        ids = [axis.id for axis in self.everything().values()]
         if len(set(ids)) < len(ids):
             raise ValueError(f"two servos have the same id; ids given: {ids}")
         return self
@@ -272,6 +287,19 @@ def check_axes(arms: Servos | Stages, description: RigDescription) -> None:
             f'reference.how = "{how}": "axis" needs a table devices.servos.changer, and no other way of reaching the '
             "reference has one"
         )
+    turned = arms.polarisers if isinstance(arms, Servos) else {}
+    for side in SIDES:
+        mount = description.polarisers.on(side)
+        if (mount is not None) != (side in turned):
+            raise ConfigError(
+                f"[polarisers.{side}] says what a polariser is, and devices.servos.polarisers.{side} which servo turns "
+                "it: the rig file needs both tables, or none"
+            )
+        if mount is not None and (mount.empty or mount.retarder):
+            raise ConfigError(
+                f"[polarisers.{side}]: a servo turns a polariser, and neither takes it out of the beam nor has a "
+                "retarder; leave `empty` and `retarder` out"
+            )
     for name in arms.axes:
         if name not in known:
             raise ConfigError(f"{table}.axes.{name}: the rig has no axis {name}; it has {', '.join(known)}")

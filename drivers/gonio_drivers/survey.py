@@ -123,7 +123,7 @@ def _repeatability(arms: ServoArms | StageArms) -> list[Row]:
     here = arms.read()
     goals, away = {}, {}
     for name, joint in arms.joints.items():
-        if name in AXES:  # and not the changer
+        if name in AXES:  # and neither changer nor polarisers
             lower, upper = joint.limits_deg
             at = math.degrees(getattr(here, name))
             goals[name] = math.radians(min(max(at, lower), upper))  # a reading may lie a little outside

@@ -6,10 +6,10 @@ tell what lamp, polarisers and lens let through (`of_white`). A lamp, or a lens,
 reference. Elsewhere rates are divided by that where P and a are known (`throughput` of
 `gonio.lab.rig.polariser_axes`), and the budget has it where they are not (`uneven`).
 
-Values are those that the polarisers of the rig show, with their extinctions and azimuths as the rig file has them:
-the attribute `polarisers` says so. What is uncertain of these numbers changes a value by d(a M b), with the sample's
-Mueller matrix M. It is the one nearest to half of a smooth glass's and half of a depolariser's that has the values that
-were measured at the point (`add_polarisers`); a fit puts its own model in place of it.
+Values are those that the polarisers of the rig show, with their extinctions as the rig file has them: the
+attribute `polarisers` says so. What is uncertain of these, and of azimuths, changes a value by d(a M b), with the
+sample's Mueller matrix M. It is the one nearest to half of a smooth glass's and half of a depolariser's that has the
+values that were measured at the point (`add_polarisers`); a fit puts its own model in place of it.
 """
 
 import itertools
@@ -23,7 +23,7 @@ from gonio.lab.reduction.values import BandResult, MeasuredBand
 from gonio.lab.rig import Pose, kinematics
 from gonio.lab.rig.calibration_files import covariance_of, known_parameters
 from gonio.lab.rig.description import RigDescription
-from gonio.lab.rig.polariser_axes import TOWARD_P, linear, on_rays, own, standing
+from gonio.lab.rig.polariser_axes import linear, on_rays, own, standing
 from gonio.lab.rig.polarisers import SIDES, letters
 from gonio.polarisation import Polariser, Polarisers, ray_axes, states, stokes
 from gonio.typing import Floats, JsonObject
@@ -34,7 +34,10 @@ NUMBERS = ("extinction", "azimuth")
 
 
 def known(description: RigDescription) -> Polarisers:
-    """The polarisers of a rig, as tables state them; perfect ones where it has none."""
+    """The polarisers of a rig, as tables state them; perfect ones where it has none.
+
+    Azimuths that are known have been taken out where they were set: 0 is left, and its uncertainty.
+    """
     sure, out = known_parameters(description), {}
     for side in description.polarisers.sides():
         mount = description.polarisers.on(side)
@@ -43,8 +46,7 @@ def known(description: RigDescription) -> Polarisers:
         u = [mount.u_extinction, mount.u_azimuth_deg]
         of_file = np.sqrt(np.diag(covariance_of(description, names)))
         u = [float(of_file[k]) if name in sure else u[k] for k, name in enumerate(names)]
-        turned = TOWARD_P[side] * math.radians(mount.azimuth_deg)
-        out[side] = Polariser(mount.extinction, turned, u[0], math.radians(u[1]))
+        out[side] = Polariser(mount.extinction, 0.0, u[0], math.radians(u[1]))
     return Polarisers(**out)
 
 
@@ -54,8 +56,8 @@ def stated(description: RigDescription) -> JsonObject:
     for side, of in zip(SIDES, known(description), strict=True):
         if side in description.polarisers.sides():
             out[side] = {
-                "extinction": of.extinction, "azimuth_deg": math.degrees(of.azimuth),
-                "u_extinction": of.u_extinction, "u_azimuth_deg": math.degrees(of.u_azimuth),
+                "extinction": of.extinction, "u_extinction": of.u_extinction,
+                "u_azimuth_deg": math.degrees(of.u_azimuth),
             }  # fmt: skip
     return out
 

@@ -35,30 +35,33 @@ def azimuth(scene: View, side: Side, letter: str) -> float:
     _, s, p = ray_axes(theta, phi, incident=side == "light")
     axis = math.cos(AXES[letter]) * s + math.sin(AXES[letter]) * p
     along, across = axes(scene, side)
-    turned = math.atan2(float(axis @ across), float(axis @ along))
-    return turned - math.pi * round(turned / math.pi)
+    return _within_half_a_turn(math.atan2(float(axis @ across), float(axis @ along)))
 
 
 def settings(description: RigDescription, scene: View, target: str, word: str) -> Iterator[tuple[Side, str, float]]:
-    """What each polariser of a rig is set to for a state at a view: side, state, and azimuth [rad] of its axis.
-
-    Before the white reference, which depolarises, axes stand as for a sample in the plane of the arms.
-    """
+    """What each polariser of a rig is set to for a state at a view: side, state, and azimuth [rad]."""
+    there = standing(description, scene, target, word)
     for side, letter in zip(SIDES, letters(word), strict=True):
-        if description.polarisers.on(side) is None:
-            continue
-        if letter not in AXES:
+        mount = description.polarisers.on(side)
+        if mount is not None and letter in AXES:
+            yield side, "linear", _within_half_a_turn(there[side] - math.radians(mount.azimuth_deg))
+        elif mount is not None:
             yield side, letter, 0.0
-        elif target == "reference":
-            yield side, "linear", AXES[letter] * TOWARD_P[side]
-        else:
-            yield side, "linear", azimuth(scene, side, letter)
 
 
 def standing(description: RigDescription, scene: View, target: str, word: str) -> dict[Side, float]:
-    """Azimuths of the axes of the linear polarisers in the beam [rad], of a state at a view."""
-    there = settings(description, scene, target, word)
-    return {side: azimuth for side, state, azimuth in there if state == "linear"}
+    """Azimuths of the axes of the linear polarisers in the beam [rad], of a state at a view.
+
+    Before the white reference, which depolarises, axes stand as for a sample in the plane of the arms.
+    """
+    linear = [(side, letter) for side, letter in zip(SIDES, letters(word), strict=True) if letter in AXES]
+    if target == "reference":
+        return {side: AXES[letter] * TOWARD_P[side] for side, letter in linear}
+    return {side: azimuth(scene, side, letter) for side, letter in linear}
+
+
+def _within_half_a_turn(azimuth: float) -> float:
+    return azimuth - math.pi * round(azimuth / math.pi)
 
 
 def own(description: RigDescription, side: Side) -> Polarisation:

@@ -23,7 +23,7 @@ class PolariserMount(Strict):
     extinction: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Smallest over largest transmittance for linearly polarised light."""
     azimuth_deg: SmallAngle = 0.0
-    """How far its axis stands beside where it was turned to."""
+    """How far its axis stands beside where it is turned to: it is turned that much less."""
     u_extinction: NonNegative = 0.0
     """Standard uncertainty of the extinction; a simulated rig draws the remaining error from its seed, as of the two
     that follow. A calibration that knows a number is believed instead."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gonio.config import to_toml
 from gonio.errors import ConfigError, os_error_as
@@ -24,6 +24,7 @@ from gonio.lab.rig.calibration_files import uncalibrated
 from gonio.lab.rig.description import Axis, RigDescription
 from gonio.lab.rig.dng import encode_dng
 from gonio.lab.rig.kinematics import encoder_error
+from gonio.lab.rig.polarisers import Side
 from gonio.samples.description import SampleDescription
 from gonio_sim.camera import SimulatedCamera
 from gonio_sim.render import Renderer
@@ -79,6 +80,12 @@ class _Servos(_Loose):
     baud: int = 57_600
     axes: dict[str, _Axis]
     changer: _Changer | None = None
+    polarisers: dict[Side, _Axis] = Field(default_factory=dict)
+
+    def everything(self) -> dict[str, _Axis]:
+        """All servos, by the names of what they turn."""
+        changer = {"changer": self.changer} if self.changer is not None else {}
+        return {**self.axes, **changer, **{f"polariser_{side}": one for side, one in self.polarisers.items()}}
 
 
 class _StageAxis(_Loose):
@@ -244,10 +251,9 @@ class Twins:
         self._stack = contextlib.ExitStack()
 
     def _built_servos(self, rng: np.random.Generator, short_counts: float) -> dict[str, Servo]:
-        """Servos by axis, the changer of samples among them, and the arms that follow them."""
+        """Servos by axis, changer of samples and polarisers among them, and the arms that follow them."""
         devices, out = self._devices.servos, {}
-        built = dict(devices.axes) if devices.changer is None else devices.axes | {"changer": devices.changer}
-        for name, axis in built.items():
+        for name, axis in devices.everything().items():
             start = axis.zero_count + self._start_deg(name) / 360 * COUNTS * axis.per_turn
             mechanics = Mechanics(short_counts=short_counts, within=lambda: float(rng.uniform(-0.5, 0.5)))
             servo = out[name] = Servo(
@@ -385,6 +391,8 @@ class Twins:
     def _stand(self) -> None:
         """Tell the world where the arms are."""
         self.world.pose = Pose(**{name: follower.true() for name, follower in self.followers.items()})
+        for side, axis in self._devices.servos.polarisers.items():
+            self.world.polarisers[side] = "linear", axis.turned(self.servos[f"polariser_{side}"].shaft()[0])
 
     def _warm_up(self) -> None:
         """Load the compiled code of dark frames, and of what may lie under the lamp: no frame is late for it."""
