@@ -20,8 +20,6 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
-from scipy.special import chdtrc
 
 from gonio.checks.values import Rows
 from gonio.errors import ArgumentError
@@ -214,6 +212,8 @@ def _dersimonian_laird(x: Floats, v: Floats) -> float:
 
 
 def _mandel_paule(x: Floats, v: Floats) -> float:
+    from scipy.optimize import brentq
+
     variances, differences = _contrasts(x, v)
     squares = differences**2
 
@@ -227,6 +227,8 @@ def _mandel_paule(x: Floats, v: Floats) -> float:
 
 def _reml(x: Floats, v: Floats) -> float:
     """Where the restricted likelihood is largest: at 0, or at a root of its slope."""
+    from scipy.optimize import brentq
+
     variances, differences = _contrasts(x, v)
     squares = differences**2
 
@@ -404,6 +406,8 @@ def _scatters(
     variance the others make a share, which is known as well as their own scatter.
     """
     k, n = weights.shape
+    from scipy.special import chdtrc
+
     scatter, p = np.ones(k), np.ones(k)
     left = n - (2.0 if with_slope else 1.0)
     if k < 3 or left < 1.0:

@@ -1,4 +1,7 @@
-"""What the commands `fit`, `compare`, `report` and `appearance` do, once their options are read."""
+"""What the commands `fit`, `compare`, `report` and `appearance` do, once their options are read.
+
+What draws pages, or compares, is imported by the command that does.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,6 @@ from gonio.hdf5 import is_map
 from gonio.measurement import Reading
 from gonio.platform import command_line
 from gonio.spectra import RGB_NM
-from gonio_analysis import report as comparison
 from gonio_analysis import result_records as results
 from gonio_analysis.commands.arguments import once, with_u_ior
 from gonio_analysis.fitting import fit as fitting
@@ -29,13 +31,8 @@ from gonio_analysis.fitting.optical_constants import Constants, NamedSample, Tak
 from gonio_analysis.fitting.problem import FitRequest, check_metric
 from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_every
-from gonio_analysis.report import appearance as appearance_page
-from gonio_analysis.report import change as change_page
-from gonio_analysis.report import files
-from gonio_analysis.report import laboratories as laboratories_page
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, in_words, of_fit, reflectances
-from gonio_analysis.selection import many_tables as each_table
 
 if TYPE_CHECKING:
     from gonio.measurement import Reading
@@ -114,6 +111,8 @@ def _require_plain(
 
 def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading, dask: str | None) -> None:
     """Fit each table of a folder or a list, and print what came out."""
+    from gonio_analysis.selection import many_tables as each_table
+
     if len(where) > 1:
         raise ConfigError("--each: name one folder or one list, or the TABLE whose wavelengths --each NAME is about")
     if out is None:
@@ -277,10 +276,12 @@ def _say(notes: Iterable[str]) -> None:
 
 def report(specs: list[str], out: Path, models: list[str], *, ior: list[str] | None, **options: Any) -> Path:
     """The report on models fitted to measurements; options as `gonio_analysis.report.make`."""
+    from gonio_analysis.report.making import make
+
     check_metric(options["metric"])
     check_u_rel(options["u_rel"])
     check_wavelength(options["wavelength_nm"])
-    return comparison.make(
+    return make(
         specs, out, models=models, ior=Constants.of(ior), command=command_line(), progress=console.note, **options
     )  # fmt: skip
 
@@ -300,6 +301,8 @@ def check_one_way(*, change: bool, laboratories: bool, unused: list[str], shared
 
 def change(specs: list[str], out: Path, wavelength_nm: float | None, u_rel: float | None, how: Reading) -> Path:
     """The report on two things compared point by point."""
+    from gonio_analysis.report import change as change_page
+
     if len(specs) != 2:
         raise ConfigError(f"--change compares two, A and B; {len(specs)} are named")
     maps = [is_map(spec) for spec in specs]
@@ -321,6 +324,8 @@ def laboratories(
     specs: list[str], out: Path, shared: list[str], wavelength_nm: float | None, u_rel: float | None, how: Reading
 ) -> Path:
     """The report on laboratories compared; `shared` as --shared gives it."""
+    from gonio_analysis.report import laboratories as laboratories_page
+
     check_u_rel(u_rel)
     check_wavelength(wavelength_nm)
     pairs = [one.partition("=") for one in shared]
@@ -333,6 +338,9 @@ def laboratories(
 
 def appearance(sample: str, wavelength_nm: float | None, out: Path | None, how: Reading, *, as_json: bool) -> None:
     """Print the quantities of a table or a model, and write a page with them."""
+    from gonio_analysis.report import appearance as appearance_page
+    from gonio_analysis.report import files
+
     check_wavelength(wavelength_nm)
     if out is not None:
         files.require(out)
@@ -355,8 +363,10 @@ def appearance(sample: str, wavelength_nm: float | None, out: Path | None, how: 
 
 
 def _print_appearance(found: results.Appearance) -> None:
+    from gonio_analysis.report.appearance import listed
+
     at = f" at {found.wavelength_nm:g} nm" if found.wavelength_nm is not None else ""
     rows = console.table("quantity", "value", "", title=f"{found.title}{at}")
-    for one in appearance_page.listed(found):
+    for one in listed(found):
         rows.add_row(one.label, one.value, one.remark)
     console.show(rows)

@@ -3,18 +3,22 @@
 `gonio_analysis.report.frame` puts them in the order of a page; `gonio_analysis.report.html` writes them.
 """
 
+from __future__ import annotations
+
 import datetime
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
-from typing import Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from gonio.lost import Loss, so_far
 from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.terms import MEANINGS
 from gonio_analysis.report.text import cause, cut, glued, meaning
-from gonio_analysis.report.viewer import ViewerData
+
+if TYPE_CHECKING:
+    from gonio_analysis.report.viewer import ViewerData
 
 VERSIONS = ("gonio", "numpy", "scipy", "numba", "pandas", "matplotlib")
 MOST_ROWS = 300

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import pandas as pd
 
 from gonio.geometry import IN_PLANE, Directions
 from gonio.models.polarised import mueller
@@ -140,6 +139,8 @@ def ratios(data: Observations, best: FitResult | None, label: str | None) -> Pol
     best, label
         The fit whose model is drawn beside them, and what it is called.
     """
+    import pandas as pd
+
     if data.light is None:
         return None
     flat = np.flatnonzero(np.abs(data.directions.out_of_plane) <= IN_PLANE)

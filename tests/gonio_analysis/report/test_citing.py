@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from gonio_analysis.report import _cite
+from gonio_analysis.report.making import _cite
 
 from gonio.formats.reader import table
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_analysis import report
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.report import (
     appearance,
@@ -24,6 +23,7 @@ from gonio_analysis.report import (
     verdict,
     viewer,
 )
+from gonio_analysis.report import making as report
 from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph, Table
 from gonio_analysis.report.drawing import Drawing, FigureWorkers, figure_workers
 from gonio_analysis.report.facts import DatasetSummary

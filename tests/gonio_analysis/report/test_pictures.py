@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis import report
 from gonio_analysis.changes.laboratories import compared
 from gonio_analysis.changes.point_by_point import change
 from gonio_analysis.changes.sides import of_table
 from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.plots import diagnostics, in_plane, maps, pixels, style
 from gonio_analysis.report import budget, change_figures, checks, drawing, health
+from gonio_analysis.report import making as report
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.result_records import ChecksSummary
 from gonio_analysis.selection.compare import examine

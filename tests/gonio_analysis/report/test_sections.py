@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio_analysis import report
+from gonio_analysis.report import making as report
 from gonio_analysis.report import sample, sections
 from gonio_analysis.report.blocks import Block, Figures, Heading, Paragraph
 from gonio_analysis.report.drawing import Drawing
