@@ -11,7 +11,6 @@ is a direction.
 `Cones` holds directions that many models are evaluated in; the functions do the same for one.
 """
 
-import functools
 import math
 from functools import cached_property
 from typing import Any, Literal
@@ -24,6 +23,7 @@ from gonio.instrument import spherical_caps
 from gonio.instrument.lobe import CUT_ORDERS, TOLERANCE, Lobe, Rules, cap_nodes
 from gonio.models import Model, engine, geometry
 from gonio.models._compile import loop
+from gonio.models._hemisphere import gauss
 from gonio.models.parameters import checked_wavelength, choice, number
 from gonio.typing import ArrayLike, Floats, Ints
 
@@ -58,7 +58,7 @@ class Overlaps:
             return out
         axes_i, axes_r = self._axes
         table, low, per_step, side = self._table(model, wavelength_nm)
-        x, w = _gauss(side)
+        x, w = gauss(side)
         constants = (self._source, self._receiver, low, per_step, float(self._exact))
         values = np.empty(self._whole.size)
         run = loop(spherical_caps.spike_over_vectors, spherical_caps.tabulated, len(constants))
@@ -66,13 +66,13 @@ class Overlaps:
         out[self._whole] = values
         return out
 
-    @functools.cached_property
+    @cached_property
     def _axes(self) -> tuple[Floats, Floats]:
         """Axes of the cones that the horizon leaves whole, three numbers after three."""
         whole = self._whole
         return self._omega_i[whole].reshape(-1), self._omega_r[whole].reshape(-1)
 
-    @functools.cached_property
+    @cached_property
     def _grid(self) -> tuple[Floats, Ints, Ints, Ints]:
         """Equal steps of cos(theta) over the caps; which of them the caps touch; where each cap begins and ends."""
         z_i, z_r = self._omega_i[self._whole, 2], self._omega_r[self._whole, 2]
@@ -138,12 +138,6 @@ class Overlaps:
 def _reflectivity(model: Model, cosine: Floats, wavelength_nm: float) -> Floats:
     theta = np.arccos(np.clip(cosine, 0.0, 1.0))
     return np.asarray(model.specular_reflectivity(theta, wavelength_nm=wavelength_nm), dtype=np.float64)
-
-
-@functools.cache
-def _gauss(side: int) -> tuple[Floats, Floats]:
-    x, w = np.polynomial.legendre.leggauss(side)
-    return x, w
 
 
 def _dense(omega: Floats, half: float) -> tuple[Floats, Floats]:

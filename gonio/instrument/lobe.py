@@ -130,12 +130,12 @@ class Lobe:
         square, psi, weight = spherical_caps.disc_rule(4) if half > 0.0 else (np.zeros(1), np.zeros(1), np.ones(1))
         outer = spherical_caps.nodes(axis, half, square, psi)
         total = 0.0
-        for first in range(0, len(outer), 32):
-            part = slice(first, first + 32)
+        for first in range(0, len(outer), 8):
+            part = slice(first, first + 8)
             inner, solid = spherical_caps.focused_nodes(wide_axis, wide, outer[part] * (-1.0, -1.0, 1.0))
-            fixed = outer[part][:, None, :]
+            fixed = np.repeat(outer[part], inner.shape[1], axis=0).reshape(inner.shape)
             pair = (inner, fixed) if wide_source else (fixed, inner)
-            total += float(weight[part] @ np.sum(self.brdf(*pair) * pair[0][..., 2] * solid, axis=1))
+            total += float(weight[part] @ np.einsum("kn,kn,kn->k", self.brdf(*pair), pair[0][..., 2], solid))
         if wide_source:
             return total / (math.pi * math.sin(self.source) ** 2 * float(omega_i[2]))
         return total / (4.0 * math.pi * math.sin(self.receiver / 2.0) ** 2 * float(weight @ outer[:, 2]))

@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
-from gonio.models._compile import device, template
-from gonio.models._math import cubic
+from gonio.models._compile import device, loop, template
+from gonio.models._hemisphere import gauss
+from gonio.models._math import cubic, sincos
 from gonio.typing import Floats
 
 RINGS = (1, 2, 3, 5, 8, 12)
@@ -35,7 +36,7 @@ def disc_rule(level: int) -> tuple[Floats, Floats, Floats]:
         )
     rings = RINGS[level]
     spokes = 4 * rings
-    x, w = np.polynomial.legendre.leggauss(rings)
+    x, w = gauss(rings)
     azimuth = (np.arange(spokes) + 0.5) * (2.0 * math.pi / spokes)
     square, psi = np.meshgrid(0.5 * (1.0 + x), azimuth, indexing="ij")
     return square.ravel(), psi.ravel(), np.repeat(0.5 * w / spokes, spokes)
@@ -76,7 +77,7 @@ def cut_nodes(omega: Floats, half_angle: float, order: int) -> tuple[Floats, Flo
     z, s = float(omega[2]), math.hypot(float(omega[0]), float(omega[1]))
     down = z * math.cos(half_angle) / (s * math.sin(half_angle))
     meets = math.pi - math.acos(min(1.0, down))  # the azimuth, from the upward side, where the cap meets the horizon
-    x, w = np.polynomial.legendre.leggauss(order)
+    x, w = gauss(order)
     parts = []
     for low, high in ((0.0, meets), (meets, math.pi)):
         psi = 0.5 * (low + high) + 0.5 * (high - low) * x
@@ -112,7 +113,7 @@ def focused_nodes(axis: Floats, half_angle: float, focus: Floats) -> tuple[Float
     unit = np.where(sine[:, None] > 1e-12, toward / np.maximum(sine, 1e-300)[:, None], first)
     aside = np.where(sine[:, None] > 1e-12, np.cross(focus, unit), second)
     inside = along >= math.cos(half_angle)
-    x, w = np.polynomial.legendre.leggauss(16)
+    x, w = gauss(16)
     panels = np.linspace(-math.pi, math.pi, 5)
     around = (0.5 * (panels[:-1] + panels[1:])[:, None] + math.pi / 4 * x).ravel()
     # from outside, rays meet the cap within beta of its axis, and leave it like a square root at the ends
@@ -127,14 +128,33 @@ def focused_nodes(axis: Floats, half_angle: float, focus: Floats) -> tuple[Float
     reach = np.arccos(np.minimum(1.0, math.cos(half_angle) / size))
     low = np.where(inside[:, None], 0.0, np.maximum(middle - reach, 0.0))
     length = np.maximum(middle + reach - low, 0.0)
-    x, w = np.polynomial.legendre.leggauss(9)
+    x, w = gauss(9)
     edges = np.concatenate([[0.0], 3.0 ** np.arange(-10.0, 1.0)])
     step = 0.5 * np.diff(edges)[:, None]
     place, part = (edges[:-1, None] + step * (1.0 + x)).ravel(), (step * w).ravel()
-    rho = low[..., None] + length[..., None] * place
-    weight = psi_weight[..., None] * length[..., None] * part * np.sin(rho)
-    out = np.cos(rho)[..., None] * focus[:, None, None] + np.sin(rho)[..., None] * ray[:, :, None]
-    return out.reshape(len(focus), -1, 3), weight.reshape(len(focus), -1)
+    out, weight = (
+        np.empty((len(focus), psi.shape[1] * place.size, 3)),
+        np.empty((len(focus), psi.shape[1] * place.size)),
+    )
+    ends = (np.broadcast_to(low, psi.shape), length, psi_weight * length)
+    rays = (np.repeat(focus, psi.shape[1], axis=0), ray, *ends, place, part, out, weight)
+    loop(along_rays, sincos, 0)(*(array.reshape(-1) for array in rays), 0, psi.size)
+    return out, weight
+
+
+@template("r1 r1 r1 r1 r1 r1 r1 w1 w1 i i")
+def along_rays(focus, ray, low, length, scale, place, part, out, weight, start, stop):
+    """Nodes and solid angles at places (0 to 1) of arcs that leave directions along rays, ray after ray."""
+    for j in range(start, stop):
+        fx, fy, fz = focus[3 * j], focus[3 * j + 1], focus[3 * j + 2]
+        rx, ry, rz = ray[3 * j], ray[3 * j + 1], ray[3 * j + 2]
+        to, solid = out[3 * j * place.size :], weight[j * place.size :]
+        for k in range(place.size):
+            sine, cosine = kernel(low[j] + length[j] * place[k])  # type: ignore[name-defined]  # noqa: F821
+            to[3 * k] = cosine * fx + sine * rx
+            to[3 * k + 1] = cosine * fy + sine * ry
+            to[3 * k + 2] = cosine * fz + sine * rz
+            solid[k] = scale[j] * part[k] * sine
 
 
 @device

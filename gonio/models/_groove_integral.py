@@ -35,26 +35,21 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from gonio.models._compile import device, table
+from gonio.models._hemisphere import gauss
 from gonio.models._math import atan_over, exp, log, sincos
 from gonio.typing import Floats, NDArray
-
-
-@functools.cache
-def _gauss(k: int) -> tuple[Floats, Floats]:
-    """Nodes and weights of 4k points."""
-    return np.polynomial.legendre.leggauss(4 * k)
 
 
 @table
 def NODES() -> Floats:
     """The nodes of the rules of 4, 8, ..., 104 points: those of the rule of 4k points begin at 2k(k - 1)."""
-    return np.concatenate([_gauss(k)[0] for k in range(1, 27)])
+    return np.concatenate([gauss(4 * k)[0] for k in range(1, 27)])
 
 
 @table
 def WEIGHTS() -> Floats:
     """Their weights."""
-    return np.concatenate([_gauss(k)[1] for k in range(1, 27)])
+    return np.concatenate([gauss(4 * k)[1] for k in range(1, 27)])
 
 
 GRADES = 2  # of steepness, to a unit of its logarithm: an arc takes the rule of the next steeper grade
@@ -74,7 +69,7 @@ def _crowded() -> tuple[Floats, Floats, NDArray[np.int64]]:
     for grade in range(1, STEEPEST_GRADE + 1):
         reach = grade / GRADES
         for steep, more, most in RULES:
-            x, weight = _gauss(min(int(steep * reach + more), most))
+            x, weight = gauss(4 * min(int(steep * reach + more), most))
             t, end = np.tanh(0.5 * reach * x), math.tanh(0.5 * reach)
             nodes.append(t / end)
             weights.append(weight * (1.0 - t * t) * 0.5 * reach / end)
@@ -276,7 +271,7 @@ def _over_slopes() -> tuple[Floats, Floats, Floats]:
     x = np.cos(pi * (np.arange(TERMS) + 0.5) / TERMS)
     v = 0.5 * (1.0 + x)
     series = np.linalg.inv(chebyshev.chebvander(x, TERMS - 1))
-    node, weight = _gauss(TERMS // 4 + 1)
+    node, weight = gauss(4 * (TERMS // 4 + 1))
     u = 0.5 * (1.0 + node)
     at = chebyshev.chebvander(2.0 * v[:, None] * u * u - 1.0, TERMS - 1)
     made = [series @ np.einsum("u,iuk->ik", 0.5 * weight * u**m, at) @ series for m in (1, 2, 3)]
@@ -293,7 +288,7 @@ def gaussian_constants(sigma: float) -> tuple[float, ...]:
     theta^2; of E sin^2 and E sin^2 cos, over theta^3; of E sin^3 and (E - E(pi/2)) sin^3/cos, over theta^4.
     """
     largest = min(pi / 2, sigma * sqrt(2.0 * math.log(1e11)))
-    node, weight = _gauss(12)
+    node, weight = gauss(48)
     theta = 0.5 * largest * (node + 1.0)
     norm = 1.0 / (float(weight @ (np.exp(-0.5 * (theta / sigma) ** 2) * np.sin(theta))) * 0.5 * largest)
     v, series, powers = _over_slopes()

@@ -4,11 +4,21 @@ The lobe is even about the plane of incidence: rules cover the half with sin(phi
 Each is a product of Gauss-Legendre rules on panels that halve toward wherever the lobe changes fastest.
 """
 
+import functools
 import math
 
 import numpy as np
 
 from gonio.typing import Floats
+
+
+@functools.cache
+def gauss(order: int) -> tuple[Floats, Floats]:
+    """Gauss-Legendre nodes and weights on [-1, 1], read-only: made once, for that takes longer than most sums."""
+    rule = np.polynomial.legendre.leggauss(order)
+    for array in rule:
+        array.setflags(write=False)
+    return rule
 
 
 def about_mirror(theta: float, narrow: float, steep: float, order: int) -> tuple[Floats, Floats]:
@@ -90,6 +100,6 @@ def halved(centres: list[tuple[float, int]], top: float) -> Floats:
 
 def panels(edges: Floats, order: int) -> tuple[Floats, Floats]:
     """Gauss-Legendre nodes and weights of an order in each interval between `edges`."""
-    x, w = np.polynomial.legendre.leggauss(order)
+    x, w = gauss(order)
     half = 0.5 * np.diff(edges)[:, None]
     return (edges[:-1, None] + half * (1.0 + x)).ravel(), (half * w).ravel()

@@ -18,6 +18,7 @@ from gonio.errors import ArgumentError
 from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._facets import by_cosines, facet, fresnel, index_constants
+from gonio.models._hemisphere import gauss
 from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
 from gonio.models.model import Model
@@ -265,7 +266,7 @@ class GGXMultiscatter(GGX):
         """Coefficients of 1 - E at this width, 1 - E_avg, and the share of it that leaves again."""
         place = 2.0 * math.log(self.alpha / NARROWEST) / -math.log(NARROWEST) - 1.0
         lost = np.asarray(chebyshev.chebval(place, _lost_energy()))
-        x, w = np.polynomial.legendre.leggauss(64)
+        x, w = gauss(64)
         mu, weight = 0.5 * (x + 1.0), 0.5 * w * (x + 1.0)
         gone = float(weight @ self._at(mu, lost))
         f = float(weight @ reflectance(mu, index_at(self.ior, wavelength_nm)))
@@ -289,7 +290,7 @@ def _lost_energy() -> Floats:
 
 def _lost(mu: float, a: float) -> float:
     """1 - E at one cosine, where F = 1."""
-    x, w = np.polynomial.legendre.leggauss(NODES)
+    x, w = gauss(NODES)
     p, share = np.sin(0.5 * pi * x)[:, None], np.cos(0.5 * pi * x)
     kept, _ = reflected(mu, a, p, np.sqrt(1.0 - p * p) * np.sin(0.5 * pi * x))
     return 1.0 - 0.25 * pi * float((w * share**2) @ kept @ (w * share))

@@ -18,6 +18,7 @@ from gonio.errors import DataError
 from gonio.models import engine
 from gonio.models._compile import loop, template
 from gonio.models._facets import above, by_angle, by_sxy2, by_tan2
+from gonio.models._hemisphere import gauss
 from gonio.models._math import HALF_PI, sincos
 from gonio.models.engine import Constants, Kernel
 from gonio.models.parameters import number
@@ -265,7 +266,7 @@ def _facet_rule(
 
 def unit_rule(order: int, rooted: bool = False) -> tuple[Floats, Floats]:
     """Gauss-Legendre nodes and weights on [0, 1]; `rooted`: running quadratically into both ends, for roots there."""
-    x, w = np.polynomial.legendre.leggauss(order)
+    x, w = gauss(order)
     t, w = 0.5 * (1.0 + x), 0.5 * w
     return (t * t * (3.0 - 2.0 * t), w * 6.0 * t * (1.0 - t)) if rooted else (t, w)
 

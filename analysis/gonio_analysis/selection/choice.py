@@ -11,19 +11,20 @@ logarithms; models whose difference in that lies within twice its own uncertaint
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import groupby
 
 from gonio.checks.values import SIGNIFICANCE
 from gonio.errors import ConfigError, DataError
 from gonio.models.parameters import Ior, Values
-from gonio.progress import QUIET_S, Say, duration
+from gonio.progress import QUIET_S, Say, duration, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import Observations
-from gonio_analysis.fitting.problem import pose
+from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import Interval, Profiles, profiles
 from gonio_analysis.selection.judging import (
     DECISIVE,
@@ -129,46 +130,94 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
     return out
 
 
+class _Begun:
+    """Tells which model is begun, and how long those may take that are left.
+
+    A job says the label of its model when it begins, and again when it ends. Models take about as long as the square
+    of their parameters says, and three times that with n and k: nothing is foretold before the first of those is done.
+    """
+
+    def __init__(self, name: str, sizes: Mapping[Candidate, int], progress: Say) -> None:
+        self._name, self._progress, self._many, self._done, self._number = name, progress, len(sizes), 0.0, 0
+        self._left = {c.label: size**2 * (3.0 if "k" in c.free else 1.0) for c, size in sizes.items()}
+        self._slow, self._running = {c.label for c in sizes if "k" in c.free}, set[str]()
+        self._began = time.perf_counter()
+
+    def skip(self, candidate: Candidate) -> None:
+        """This one is not fitted."""
+        self._left.pop(candidate.label)
+        self._number += 1
+
+    def __call__(self, label: str) -> None:
+        """A model is begun, or has ended; what others say of their work is not passed on."""
+        if label in self._running:
+            self._running.remove(label)
+            self._done += self._left.pop(label)
+        elif label in self._left:
+            passed, half = time.perf_counter() - self._began, 0.5 * sum(self._left[one] for one in self._running)
+            left = ""
+            known = not self._slow or bool(self._slow - self._left.keys())
+            if passed > QUIET_S and self._done and known:
+                left = f", about {duration(passed / (self._done + half) * (sum(self._left.values()) - half))} left"
+            self._running.add(label)
+            self._number += 1
+            many = f" ({self._number} of {self._many}{left})" if self._many > 1 else ""
+            self._progress(f"{self._name}: fitting {label}{many}")
+
+
+def _fit(
+    data: Observations, asked: FitRequest, starts: Sequence[Sequence[Values] | None], label: str, name: str, say: Say
+) -> tuple[FitResult | str, float]:
+    """The nearest of the fits from several starts, or why there is none; and how long it took [s]."""
+    say(label)
+    began = time.perf_counter()
+    try:
+        result: FitResult | str = min((fit(data, replace(asked, start=s), name=name) for s in starts), key=_farness)
+    except (DataError, ConfigError) as error:
+        if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
+            raise
+        result = str(error)
+    say(label)
+    return result, time.perf_counter() - began
+
+
 def _fitted(
     data: Observations,
-    tried: Sequence[Candidate],
-    sizes: Mapping[Candidate, int],
-    fitted: Callable[[Candidate, Sequence[Values] | None], FitResult],
+    requests: Mapping[Candidate, FitRequest],
     name: str,
     all_of_them: bool,
-    progress: Callable[[str], None],
+    progress: Say,
+    share: Share,
 ) -> tuple[dict[Candidate, FitResult], dict[Candidate, float], dict[str, str]]:
-    """Fits of candidates, few parameters first; how long each took [s]; and why others have none."""
+    """Fits of candidates, few parameters first; how long each took [s]; and why others have none.
+
+    Those of as many parameters are fitted side by side: none of them begins where another one ends.
+    """
     fits: dict[Candidate, FitResult] = {}
     left_out: dict[str, str] = {}
     walls: dict[Candidate, float] = {}
     enough = math.inf
-
-    began_all = time.perf_counter()
-    for k, candidate in enumerate(sorted(tried, key=lambda c: sizes[c])):  # stable
-        beyond = "" if candidate.asked else _beyond_the_directions(candidate, data)
-        if beyond:
-            left_out[candidate.label] = beyond
-            continue
-        if sizes[candidate] > enough and not all_of_them:
-            left_out[candidate.label] = "a model with fewer parameters is not rejected"
-            continue
-        passed = time.perf_counter() - began_all
-        left = f", about {duration(passed / k * (len(tried) - k))} left" if passed > QUIET_S and k else ""
-        many = f" ({k + 1} of {len(tried)}{left})" if len(tried) > 1 else ""
-        progress(f"{name}: fitting {candidate.label}{many}")
-        began = time.perf_counter()
-        try:
-            result = min((fitted(candidate, s) for s in _starts(candidate, fits)), key=_farness)
-        except (DataError, ConfigError) as error:
-            if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
-                raise
-            left_out[candidate.label] = str(error)
-            continue
-        fits[candidate] = result
-        walls[candidate] = time.perf_counter() - began
-        if result.p_value is not None and result.p_value >= SIGNIFICANCE:
-            enough = min(enough, sizes[candidate] + BEYOND)
+    sizes = {c: len(pose(asked).free) for c, asked in requests.items()}
+    told = _Begun(name, sizes, progress)
+    for size, alike in groupby(sorted(sizes, key=sizes.__getitem__), key=sizes.__getitem__):  # stable
+        jobs = {}
+        for candidate in alike:
+            why = "" if candidate.asked else _beyond_the_directions(candidate, data)
+            if not why and size > enough and not all_of_them:
+                why = "a model with fewer parameters is not rejected"
+            if why:
+                left_out[candidate.label] = why
+                told.skip(candidate)
+            else:
+                starts = _starts(candidate, fits)
+                jobs[candidate] = partial(_fit, data, requests[candidate], starts, candidate.label, name)
+        for candidate, (result, wall) in zip(jobs, share(list(jobs.values()), "", told), strict=True):
+            if isinstance(result, str):
+                left_out[candidate.label] = result
+                continue
+            fits[candidate], walls[candidate] = result, wall
+            if result.p_value is not None and result.p_value >= SIGNIFICANCE:
+                enough = min(enough, size + BEYOND)
     return fits, walls, left_out
 
 
@@ -188,7 +237,7 @@ def choose(
     energy: bool = False,
     name: str = "the table",
     all_of_them: bool = False,
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Say = silent,
     share: Share = here,
 ) -> ModelChoice:
     """Fit every candidate to the values at one wavelength, and say which is the simplest that the data do not reject.
@@ -205,7 +254,7 @@ def choose(
         Fit every candidate; otherwise those are left out that have `BEYOND` more parameters than one that chi-square
         does not reject.
     progress, share
-        Called with a line before each fit; who works out held-out errors and intervals.
+        Called with a line before each fit; who fits, and works out held-out errors and intervals.
 
     Raises
     ------
@@ -214,16 +263,11 @@ def choose(
     ConfigError
         See `gonio_analysis.fitting.fit.fit`; in a broad band candidates that need a wavelength are left out instead.
     """
-    sizes = {c: _parameters(c, ior) for c in tried}
-
-    def fitted(candidate: Candidate, start: Sequence[Values] | None) -> FitResult:
-        asked = candidate.request(ior, metric, energy)
-        return fit(data, replace(asked, wavelength_nm=wavelength_nm, start=start), name=name)
-
-    fits, walls, left_out = _fitted(data, tried, sizes, fitted, name, all_of_them, progress)
+    requests = {c: replace(c.request(ior, metric, energy), wavelength_nm=wavelength_nm) for c in tried}
+    fits, walls, left_out = _fitted(data, requests, name, all_of_them, progress, share)
     if not fits:
         words = _none_fitted(left_out, name)
-        if len(data.nearest(wavelength_nm)[0]) > min(sizes.values()):
+        if len(data.nearest(wavelength_nm)[0]) > min(len(pose(asked).free) for asked in requests.values()):
             raise DataError(f"{name}: {words}")
         return ModelChoice([], None, {}, f"{words}.", "", left_out)
     folds, by = blocks(next(iter(fits.values())).data)
@@ -232,7 +276,10 @@ def choose(
     judged = _reject([_judged(c, r, t, walls[c]) for (c, r), t in zip(fits.items(), tested, strict=True)])
     named, intervals, lower = _walked(judged, share)
     if lower:  # valleys met while walking: begin again from there
-        again = {j.candidate: fitted(j.candidate, [j.fit.problem.values(vector)]) for j, vector in lower}
+        again = {
+            j.candidate: fit(data, replace(requests[j.candidate], start=[j.fit.problem.values(vector)]), name=name)
+            for j, vector in lower
+        }
         better = {c: _judged(c, r, _tested(r, folds), walls[c]) for c, r in again.items()}
         judged = _reject([better.get(j.candidate, j) for j in judged])
         named, intervals, _ = _walked(judged, share)
@@ -271,10 +318,6 @@ def _follows(j: Judged, named: Judged) -> bool:
     """Whether a candidate is the named one with k fitted beside n."""
     alone = "ior" in named.fit.free and not named.candidate.free
     return alone and not j.rejected and j.candidate == replace(named.candidate, free=("k",))
-
-
-def _parameters(candidate: Candidate, ior: Ior) -> int:
-    return len(pose(candidate.request(ior)).free)
 
 
 def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[list[Values] | None]:

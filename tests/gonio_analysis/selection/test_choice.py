@@ -131,8 +131,8 @@ def test_models_are_counted_while_they_are_fitted_and_the_time_left_is_in_propor
     decide(measure(MATTE, noise=0.01, seed=2), models, name="matte", all_of_them=True, progress=said.append)
     assert said[:3] == [
         "matte: fitting lambert (1 of 3)",
-        "matte: fitting oren-nayar (2 of 3, about 80 s left)",  # 40 s for one, and two are left
-        "matte: fitting phong (3 of 3, about 35 s left)",  # 70 s for two, and one is left
+        "matte: fitting oren-nayar (2 of 3, about 9 min left)",  # 40 s for 1 squared; 2 and 3 squared are left
+        "matte: fitting phong (3 of 3, about 2 min left)",  # 70 s for 1 and 4, and 9 is left
     ]
 
 
