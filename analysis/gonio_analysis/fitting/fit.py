@@ -27,7 +27,7 @@ from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models.parameters import Declaration, Values
 from gonio.progress import Say, silent
 from gonio.typing import DataFrame, Floats
-from gonio_analysis.fitting.forward import apparent, by_model, known_wavelength, pointlike, rho_angles
+from gonio_analysis.fitting.forward import apparent, averaging, by_model, known_wavelength, pointlike, rho_angles
 from gonio_analysis.fitting.misfit import SETTLED, SMALLEST, TURNS, block_spread, estimated_tau, misfit
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
@@ -278,7 +278,7 @@ def _nearest(rejected: FitResult, say: Say) -> FitResult:
         begin.insert(0, search(problem, unstated, say))
     found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
     vector = min(found, key=lambda f: f[1])[0]
-    residual, columns, stated = residuals_on_log_scale(problem, data, vector)
+    residual, columns, stated = residuals_on_log_scale(problem, data, vector, apparent(problem.model(vector), data))
     if stated is not None and estimated_tau(residual, columns, stated) < float(np.median(stated.random)):
         # over many decades a search by the stated uncertainties may end where nothing is right
         rejected = min(rejected, _weighted_from(rejected, vector, say), key=lambda one: one.goal.total(one.whitened))
@@ -286,12 +286,14 @@ def _nearest(rejected: FitResult, say: Say) -> FitResult:
             return rejected
     tau = 0.0
     for _ in range(TURNS):
-        before, tau = tau, estimated_tau(*residuals_on_log_scale(problem, data, vector))
-        goal = with_misfit(data, tau, apparent(problem.model(vector), data))
+        rules = averaging(problem.model(vector), data)
+        predicted = apparent(problem.model(vector), data, rules=rules)
+        before, tau = tau, estimated_tau(*residuals_on_log_scale(problem, data, vector, predicted))
+        goal = with_misfit(data, tau, predicted)
         if before and abs(math.log(tau / before)) < SETTLED:
             break
-        vector = refine(problem, data, goal, vector, say=say)[0]
-    vector, jacobian = settle(problem, data, goal, vector)
+        vector = refine(problem, data, goal, vector, rules=rules, say=say)[0]
+    vector, jacobian = settle(problem, data, goal, vector, rules)
     result = _result(problem, data, goal, vector, jacobian, rejected.wavelength_nm)
     return known_by_blocks(replace(result, chi_square=rejected.chi_square))
 
@@ -338,7 +340,8 @@ def known_by_blocks(result: FitResult) -> FitResult:
         return np.asarray((near.refit(np.clip(begin, lower, upper), moving, limit=AGAIN)[0] - vector)[moving])
 
     plain = replace(goal, weights=None)
-    columns = plain.jacobian(result.predicted, derivatives(problem, data, vector))
+    rules = averaging(result.model, data)
+    columns = plain.jacobian(result.predicted, derivatives(problem, data, vector, rules=rules))
     lower, upper = problem.bounds
     moves = (vector > lower) & (vector < upper) & (np.linalg.norm(columns, axis=0) > 0)
     moving = np.flatnonzero(moves)

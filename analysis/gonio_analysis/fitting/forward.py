@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from gonio_analysis.fitting.observations import Observations
 
 if TYPE_CHECKING:
     from gonio.instrument import Cones, Rules
+
+Averaging: TypeAlias = "list[Rules | None] | None"
+"""How averages over the cones are taken, by instrument and wavelength; see `averaging`."""
 
 NO_WAVELENGTH_NM = 550.0
 """Given to models whose value does not depend on it, in a broad band."""
@@ -67,7 +70,7 @@ def _alone(model: Any, wavelength_nm: float) -> tuple[Any, float]:
     return one, known_wavelength(wavelength_nm)
 
 
-def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[Rules | None] | None = None) -> Floats:
+def apparent(model: Any, at: Observations, *, quick: bool = False, rules: Averaging = None) -> Floats:
     """The BRDF [1/sr] that the instrument of a table sees of `model` in its directions.
 
     Averaged over the cones of source and receiver, the specular spike carried through the integral
@@ -84,7 +87,7 @@ def apparent(model: Any, at: Observations, *, quick: bool = False, rules: list[R
     return out
 
 
-def averaging(model: Any, at: Observations) -> list[Rules | None] | None:
+def averaging(model: Any, at: Observations) -> Averaging:
     """How the averages over the cones are taken for `model`; None where there are no cones."""
     if pointlike(at):
         return None

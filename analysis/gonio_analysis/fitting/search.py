@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import count, pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,13 +27,10 @@ from gonio.models.parameters import Values
 from gonio.progress import Pace, Say, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
-from gonio_analysis.fitting.forward import apparent, averaging, pointlike
+from gonio_analysis.fitting.forward import Averaging, apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem, acceptable
-
-if TYPE_CHECKING:
-    from gonio.instrument import Rules
 
 GRID_POINTS = 250
 """Values that a start is judged by."""
@@ -286,6 +283,7 @@ def refine(
     *,
     quick: bool = False,
     limit: int = LONG,
+    rules: Averaging = None,
     say: Say = silent,
     free: Rows | None = None,
     ratio: Floats | None = None,
@@ -293,14 +291,14 @@ def refine(
     """Trust-region least squares from one start; the point and half its sum of squares.
 
     Derivatives are one-sided ones of the quick forward model, scaled to the full one; `settle` takes the last step with
-    those of the full one. Averages over the cones are taken as was found good at the start.
+    those of the full one. Averages over the cones are taken by `rules`, or as is found good at the start.
 
     With `ratio` (n,) the model is the quick one times that, and found to 1e-6; `free` parameters alone move then.
     """
     lower, upper = problem.bounds
     latest = np.empty(len(data))
     pace, steps = Pace("fitting: trial points", limit, say, at_most=True), count()
-    rules = None if quick else averaging(problem.model(start), data)
+    rules = rules or (None if quick else averaging(problem.model(start), data))
     quick = quick or pointlike(data)
     moving = np.arange(start.size) if free is None else free
     scale = np.ones(1) if ratio is None else ratio
@@ -365,12 +363,14 @@ def to_full(full: Floats, quick: Floats) -> Floats:
         return np.nan_to_num(np.clip(full / quick, 0.2, 5.0), nan=1.0)
 
 
-def settle(problem: Problem, data: Observations, goal: Objective, vector: Floats) -> tuple[Floats, Floats]:
+def settle(
+    problem: Problem, data: Observations, goal: Objective, vector: Floats, rules: Averaging = None
+) -> tuple[Floats, Floats]:
     """One Gauss-Newton step with the full derivatives, if it helps; the point, and the Jacobian of the residuals there.
 
     A parameter that stays at a bound is put onto it.
     """
-    rules = averaging(problem.model(vector), data)
+    rules = rules or averaging(problem.model(vector), data)
     predicted = apparent(problem.model(vector), data, rules=rules)
     residual = np.concatenate([goal.residual(predicted), problem.pulls(vector)])
     robust = goal.robust_weights(residual)
@@ -411,7 +411,7 @@ def derivatives(
     vector: Floats,
     *,
     quick: bool = False,
-    rules: list[Rules | None] | None = None,
+    rules: Averaging = None,
     only: Iterable[int] | None = None,
     here: Floats | None = None,
 ) -> Floats:

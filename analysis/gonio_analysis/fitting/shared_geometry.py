@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.checks.values import Rows
 from gonio.typing import Floats
 from gonio_analysis.fitting.fit import FitResult
-from gonio_analysis.fitting.forward import apparent, averaging, pointlike
+from gonio_analysis.fitting.forward import Averaging, apparent, averaging, pointlike
 from gonio_analysis.fitting.objective import Objective, alone, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.search import LONG, derivatives, last_step, least, to_full
 from gonio_analysis.fitting.value_covariance import independent
-
-if TYPE_CHECKING:
-    from gonio.instrument import Rules
 
 Evaluated = tuple[Floats, Floats]
 """Residuals (m,) and their derivatives (m, p)."""
@@ -39,7 +35,7 @@ class _Block:
     """Where the parameters of `problem` stand among all."""
     common: Floats
     """d(residual)/d(cause), (n, causes)."""
-    rules: list[Rules | None] | None = None
+    rules: Averaging = None
 
     def scaled(self, data: Observations, predicted: Floats) -> Objective:
         """Values of this wavelength, scaled with their common causes as they are at a prediction."""

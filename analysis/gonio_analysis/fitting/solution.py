@@ -365,11 +365,14 @@ class Solution:
 
 
 def residuals_on_log_scale(
-    problem: Problem, data: Observations, vector: Floats
+    problem: Problem, data: Observations, vector: Floats, predicted: Floats
 ) -> tuple[Floats, Floats, Covariance | None]:
-    """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance."""
+    """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance.
+
+    `predicted` (n,) [1/sr] is the model of `vector`, averaged over the cones.
+    """
     plain = Objective(data.brdf, None, smallest_of(data), metric="log")
-    predicted, near = (apparent(problem.model(vector), data, quick=quick) for quick in (False, True))
+    near = apparent(problem.model(vector), data, quick=True)
     lower, upper = problem.bounds
     inside = np.flatnonzero((vector > lower) & (vector < upper))
     columns = plain.jacobian(near, derivatives(problem, data, vector, here=near, only=inside))

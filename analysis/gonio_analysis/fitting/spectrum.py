@@ -241,9 +241,11 @@ def _nearest(
     unstated = {w: replace(one, covariance=None, u_rel_assumed=None) for w, one in taken.items()}
     task = _Task(first.problem, common, unstated)
     vector = task.solve(task.begin(first)[0], quick=True, step=step)
-    taus = [
-        estimated_tau(*residuals_on_log_scale(b.problem, taken[b.wavelength_nm], vector[b.index])) for b in task.blocks
-    ]
+    taus = []
+    for b in task.blocks:
+        data, x = taken[b.wavelength_nm], vector[b.index]
+        seen = apparent(b.problem.model(x), data)
+        taus.append(estimated_tau(*residuals_on_log_scale(b.problem, data, x, seen)))
     return _solved(_Task(first.problem, common, taken, taus), vector, step)
 
 
