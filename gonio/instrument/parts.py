@@ -23,6 +23,12 @@ class Part(NamedTuple):
     """The share of the incident light that it reflects, its part of rho_dh."""
 
 
+def uniform(model: Model, wavelength_nm: float) -> float:
+    """What a model has beside its facets, the same in every direction [1/sr]; 0 of a model without facets."""
+    facets = model.facets(wavelength_nm)
+    return 0.0 if facets is None else facets.beside
+
+
 def parts(
     model: Model,
     theta_i: float,
@@ -95,10 +101,9 @@ def parts(
     reflected = float(
         model.directional_hemispherical(theta_i, phi_i=phi_i, wavelength_nm=wavelength_nm, spike=False)
     )  # fmt: skip
-    facets = model.facets(wavelength_nm)
     if isinstance(model, Lambert):
         return {UNIFORM: Part(lobe, reflected)}
-    even = 0.0 if facets is None else facets.beside
+    even = uniform(model, wavelength_nm)
     out[DIRECTIONAL] = Part(lobe - even, reflected - math.pi * even)
     if even > 0.0:
         out[UNIFORM] = Part(np.full(lobe.shape, even), math.pi * even)

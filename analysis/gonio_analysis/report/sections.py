@@ -12,6 +12,7 @@ from gonio.lost import kept
 from gonio_analysis.report.section import Section
 
 _MODULES = (
+    "model_parts",
     "channels",
     "beyond_reflection",
     "polarisation",

@@ -3,6 +3,8 @@
 (() => {
   const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B8860B", "#56B4E9"];
   const DASHES = ["", "7 3", "2 3", "9 3 2 3"];
+  const PARTS = ["specular", "directional diffuse", "uniform diffuse"];
+  const PART_DASHES = ["1 2.5", "5 2.5", "10 2.5 1 2.5", "14 4"];
   const INK = "#222222", FAINT = "#c9ced6", SOFT = "#55606e";
   const RAD = Math.PI / 180;
 
@@ -63,6 +65,7 @@
       Object.assign(this, { root, data, wave: data.at, norm: data.normalise, plot: data.plot || "polar", at: null });
       this.labels = new Set(data.shown);
       this.series = new Set(data.chosen);
+      this.parts = false;
       this.resized = new ResizeObserver(() => this.draw());
       this.rows = this.pickable();
       this.keep = () => {}; // told of the state that a reader chose (page.js keeps it in the address)
@@ -76,14 +79,14 @@
       const places = (names, chosen) => names.map((name, k) => (chosen.has(name) ? k : "")).filter((k) => k !== "").join(".");
       const { data } = this;
       return [this.plot, this.norm, this.wave, places(data.labels, this.labels),
-        places([...data.points, ...data.models], this.series)].join("_");
+        places([...data.points, ...data.models], this.series), ...(this.parts ? ["parts"] : [])].join("_");
     }
 
     restore(state) {
-      const [plot, norm, wave, labels, series] = state.split("_"), { data } = this;
+      const [plot, norm, wave, labels, series, parts] = state.split("_"), { data } = this;
       if (series === undefined || !data.waves[wave] || !NORMS.some(([key]) => key === norm)) return;
       const named = (names, places) => new Set(names.filter((_, k) => places.split(".").includes(String(k))));
-      Object.assign(this, { plot, norm, wave: Number(wave) });
+      Object.assign(this, { plot, norm, wave: Number(wave), parts: parts === "parts" });
       this.labels = named(data.labels, labels);
       this.series = named([...data.points, ...data.models], series);
       this.again();
@@ -191,13 +194,23 @@
       if (data.waves.length > 1) {
         choices.push(choice("Wavelength", "wave", data.waves.map((w, k) => [String(k), `${w.nm} nm`])));
       }
+      if (this.partNames().length) {
+        const box = html("input", { type: "checkbox", "data-key": "parts" });
+        box.checked = this.parts;
+        box.addEventListener("change", () => {
+          this.parts = box.checked;
+          this.chosen();
+        });
+        choices.push(html("label", {}, box, "Parts of the models"));
+      }
+      this.dashes = html("p", { class: "note" });
       this.stage = html("div", { class: "stage" });
       this.output = html("output", { "aria-live": "polite" });
       root.append(
         html("div", { class: "choices" }, ...choices),
         boxes("Curves", order, this.labels, "curve"),
         ...(data.points.length + data.models.length > 1 ? [boxes("Shown", [...data.points, ...data.models], this.series, "series")] : []),
-        this.stage, this.output, ...(data.note ? [html("p", { class: "note" }, data.note)] : []),
+        this.stage, this.dashes, this.output, ...(data.note ? [html("p", { class: "note" }, data.note)] : []),
       );
       this.resized.observe(this.stage);
     }
@@ -212,6 +225,24 @@
         return s.by.model || (any && any.by.model) || s.by.max || 1;
       }
       return s.by[this.norm] || s.by.max || 1;
+    }
+
+    /** Of all models here; each has a dash of its own. */
+    partNames() {
+      const every = this.data.waves.flatMap((w) => w.curves.flatMap((c) => c.series.flatMap((s) => Object.keys(s.parts || {}))));
+      return [...new Set(every)].sort((a, b) => PARTS.indexOf(a) - PARTS.indexOf(b) || (a < b ? -1 : 1));
+    }
+
+    /** The parts of a model's line: numbers, one number for all, or null for what the others leave of the whole. */
+    ofParts(curve, s, look, by) {
+      const named = Object.entries(s.parts || {}), at = (part, k) => (part instanceof Array ? part[k] : part);
+      return named.map(([name, part]) => {
+        const values = s.brdf.map((whole, k) => part !== null || whole === null ? at(part, k)
+          : Math.max(0, named.reduce((rest, [, other]) => rest - (other === null ? 0 : at(other, k)), whole)));
+        const points = s.angle.map((angle, k) => ({ angle, brdf: values[k], u: null, value: values[k] / by, du: null }));
+        const dash = PART_DASHES[this.partNames().indexOf(name) % 4];
+        return { curve, look, name: `${s.name}: ${name}`, by, points: points.filter((p) => p.brdf !== null), theory: true, dash };
+      });
     }
 
     visible() {
@@ -229,6 +260,7 @@
             points.push({ angle, brdf: s.brdf[k], u, value: s.brdf[k] / by, du: u === null ? null : u / by });
           });
           out.push({ curve, look, name: s.name, by, points, theory: this.data.models.includes(s.name) });
+          if (this.parts) out.push(...this.ofParts(curve, s, look, by));
         }
       }
       return out;
@@ -256,6 +288,12 @@
       const focused = this.picture && document.activeElement === this.picture;
       this.stage.replaceChildren(picture);
       this.picture = picture;
+      this.dashes.replaceChildren(...(this.parts ? this.partNames().flatMap((name, k) => {
+        const line = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+        for (const [a, v] of [["width", 44], ["height", 10], ["aria-hidden", "true"]]) line.setAttribute(a, v);
+        svg(line, "path", { d: "M6 5H38", stroke: INK, "stroke-width": 1.1, "stroke-dasharray": PART_DASHES[k % 4] });
+        return [line, `${name} `];
+      }) : []));
       this.marked();
       if (focused) picture.focus();
       this.point(null);
@@ -286,7 +324,7 @@
           if (xy) this.spots.push({ x: xy[0], y: xy[1], line, p });
         }
         if (line.theory) {
-          svg(group, "path", { d: path || "M0 0", fill: "none", stroke: colour, "stroke-width": 1.6, "stroke-dasharray": DASHES[models.indexOf(line.name) % 4] });
+          svg(group, "path", { d: path || "M0 0", fill: "none", stroke: colour, "stroke-width": line.dash ? 1.1 : 1.6, "stroke-dasharray": line.dash || DASHES[models.indexOf(line.name) % 4] });
           continue;
         }
         if (this.several) svg(group, "path", { d: path || "M0 0", fill: "none", stroke: colour, "stroke-width": 0.8, "stroke-dasharray": DASHES[1 + this.data.points.indexOf(line.name) % 3] });

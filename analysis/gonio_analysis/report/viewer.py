@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 
 import numpy as np
 
+from gonio.instrument.parts import DIRECTIONAL, SPECULAR, UNIFORM, uniform
+from gonio.models import Model, Sum
+from gonio.polarisation import UNPOLARISED
 from gonio.shown import finite
 from gonio.typing import Floats
 from gonio_analysis.curves.in_plane import MOST_CURVES, Curve, bright_mirror, curves, evenly, labels, selection
 from gonio_analysis.fitting.fit import FitResult
+from gonio_analysis.fitting.forward import known_wavelength
+from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import thinning
 from gonio_analysis.selection.compare import theory_angles
 
@@ -29,6 +34,10 @@ MEASURED_BYTES, THEORY_BYTES = 28, 17
 COLUMNS = ("wavelength_nm", "curve", "series", "signed_angle_deg", "brdf", "u_brdf")
 
 
+LineParts = dict[str, list[float | None] | float | None]
+"""By the name of a part [1/sr]: its values along a line, one for all angles, or None for what the others leave."""
+
+
 class Series(TypedDict):
     """Points or a line along a curve."""
 
@@ -40,6 +49,8 @@ class Series(TypedDict):
     u: list[float | None] | None
     by: dict[str, float | None]
     """What it is divided by, in each normalisation."""
+    parts: NotRequired[LineParts]
+    """Of a model that has several."""
 
 
 class CurveView(TypedDict):
@@ -117,7 +128,7 @@ def viewer(d: DatasetSummary, normalise: str, room: int = BYTES) -> ViewerData:
                 if found is None or found[0].size > most + 400:
                     angle = theory_angles(curve, known[nm], dense=False)
                     found = angle, curve.theory(result.model, angle, known[nm])
-                theory[model] = found
+                theory[model] = (*found, of_line(result.model, curve, found[0], known[nm]))
             entries.append(_curve(curve, name, own, theory))
         out.append({"nm": nm, "curves": entries})
     return {
@@ -178,17 +189,47 @@ def note(drawn: int, of: int, waves: int, known: int) -> str:
     return "; ".join(parts) + "; all values are in tables/." if parts else ""
 
 
-def _curve(c: Curve, name: str, own: str, theory: dict[str, tuple[Floats, Floats]]) -> CurveView:
+def _curve(c: Curve, name: str, own: str, theory: dict[str, tuple[Floats, Floats, LineParts]]) -> CurveView:
     mirror = bright_mirror(c)
     places = {"mirror": None if mirror is None else c.angle[mirror], "model": c.parameter}
     series = [points(own, c, c.brdf, c.u)]
-    for model, (angle, value) in theory.items():
+    for model, (angle, value, parts) in theory.items():
         by = {
             kind: None if where is None else _positive(value[int(np.argmin(np.abs(angle - where)))])
             for kind, where in places.items()
         } | {"max": series[0]["by"]["max"]}
-        series.append({"name": model, "angle": _degrees(angle), "brdf": _rounded(value, 5), "u": None, "by": by})
+        line: Series = {"name": model, "angle": _degrees(angle), "brdf": _rounded(value, 5), "u": None, "by": by}
+        series.append(line | {"parts": parts} if parts else line)
     return entry(c, name, series)
+
+
+def of_line(model: Any, c: Curve, angle: Floats, data: Observations) -> LineParts:
+    """The parts of a model along a curve, as `gonio.instrument.parts`; empty where it has one alone.
+
+    Polarised light has none: a part shows it in another way than the whole.
+    """
+    if not isinstance(model, Model) or c.state != UNPOLARISED:
+        return {}
+    if isinstance(model, Sum):
+        *first, last = ((f"{term.name} {j}", term, weight) for j, (term, weight) in enumerate(model.terms, 1))
+        return {name: _rounded(weight * c.theory(term, angle, data), 5) for name, term, weight in first} | {
+            last[0]: None
+        }
+    wave = known_wavelength(data.wavelengths[0])
+    cones = {
+        "source_solid_angle_sr": data.source_solid_angle_sr, "receiver_solid_angle_sr": data.receiver_solid_angle_sr
+    }  # fmt: skip
+    out: LineParts = {}
+    if model.has_spike and any(cones.values()):
+        from gonio.instrument import apparent_spike
+
+        spike = np.asarray(
+            apparent_spike(model, *c.directions(angle).angles, wavelength_nm=wave, spike="exact", **cones)
+        )
+        out |= {SPECULAR: _rounded(spike, 5)} if spike.any() else {}
+    even = uniform(model, wave)
+    out |= {UNIFORM: float(f"{even:.5g}")} if even > 0.0 else {}
+    return out | {DIRECTIONAL: None} if out else {}
 
 
 def entry(c: Curve, label: str, series: list[Series]) -> CurveView:

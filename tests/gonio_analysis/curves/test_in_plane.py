@@ -114,7 +114,7 @@ def test_a_retroreflector_is_not_divided_by_its_dark_mirror_direction(incidence:
     assert np.degrees(n.angle) == pytest.approx(-incidence, rel=1e-14)
     # by its own value there a model without that peak was drawn 19 times as bright as it is
     assert n.theory == n.measured
-    seen = _curve(c, c.label, "measured", {"gloss": (c.angle, c.theory(GLOSS, c.angle, data))})
+    seen = _curve(c, c.label, "measured", {"gloss": (c.angle, c.theory(GLOSS, c.angle, data), {})})
     by = {s["name"]: s["by"] for s in seen["series"]}
     assert by["gloss"]["max"] == by["measured"]["max"] == pytest.approx(n.measured, rel=1e-8)
     assert by["gloss"]["mirror"] is by["measured"]["mirror"] is None
