@@ -103,6 +103,10 @@ def light(
     lamp_polariser: Annotated[
         Path | None, typer.Option(help="A polariser turned in the beam: polariser_deg, signal.")
     ] = None,
+    polarisers: Annotated[
+        Path | None, typer.Option(help="A polarised run over a black dielectric, such as black glass.")
+    ] = None,
+    index: Annotated[float, typer.Option(min=1.01, max=5.0, help="With --polarisers: its index.")] = 1.5,
     valid_days: Annotated[int | None, typer.Option(min=1, help="How long it is good.")] = None,
     wavelength: WavelengthOption = None,
     seed: Seed = 0,
@@ -115,7 +119,7 @@ def light(
     """
     from gonio.lab.commands import calibrate_light as work
 
-    earlier = work.EarlierData(series, spectra, lines, lamp_polariser)
-    asked = work.LightOptions(only, minutes=minutes, every_s=every, wavelength_nm=wavelength, seed=seed, yes=yes)
+    earlier = work.EarlierData(series, spectra, lines, lamp_polariser, polarisers)
+    asked = work.LightOptions(only, index, minutes=minutes, every_s=every, wavelength_nm=wavelength, seed=seed, yes=yes)
     with lost.whole(out):
         work.calibrate(rig, out, earlier, asked, valid_days)

@@ -15,15 +15,23 @@ from gonio.cli import console
 from gonio.cli.signals import undisturbed
 from gonio.config import numbers_in
 from gonio.disk import put, put_picture
-from gonio.errors import DataError
+from gonio.errors import ConfigError, DataError
+from gonio.lab.acquisition.run import Run
 from gonio.lab.by_hand.manual_rig import ManualRig
-from gonio.lab.calibration import beam, lamp_scan, lamp_stability, spectral
+from gonio.lab.calibration import beam, lamp_scan, lamp_stability, polarisers, spectral
 from gonio.lab.calibration.beam import Profile
 from gonio.lab.calibration.spectral import polarised
 from gonio.lab.commands import opened
 from gonio.lab.commands.opened import free_name
 from gonio.lab.reduction.geometry_errors import zero_keys
-from gonio.lab.rig.calibration_files import Calibration, covariance_of, known_parameters, with_keys, write_calibration
+from gonio.lab.rig.calibration_files import (
+    Calibration,
+    covariance_of,
+    identity,
+    known_parameters,
+    with_keys,
+    write_calibration,
+)
 from gonio.lab.rig.description import RigDescription
 from gonio.samples.description import ParameterUncertainty
 from gonio.shown import apart
@@ -41,6 +49,7 @@ class EarlierData:
     spectra: Path | None
     lines: Path | None
     lamp_polariser: Path | None
+    polarisers: Path | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +57,7 @@ class LightOptions:
     """How the rig is driven: the options of the command."""
 
     only: str
+    index: float
     minutes: float
     every_s: float
     wavelength_nm: float | None
@@ -107,6 +117,8 @@ def calibrate(rig: str, out: Path, earlier: EarlierData, asked: LightOptions, va
         _bands(earlier.spectra, earlier.lines, description, found)
     if earlier.lamp_polariser is not None:
         _polarisation(earlier.lamp_polariser, found)
+    if earlier.polarisers is not None:
+        _polarisers(earlier.polarisers, asked.index, description, found)
     if not found.values:
         raise DataError(f"{out} is not written: nothing was found")
     known = found.uncertainty()
@@ -289,6 +301,16 @@ def _polarisation(path: Path, found: _Found) -> None:
     values = {"degree": of.degree, "azimuth_deg": of.azimuth_deg}
     found.add(where, values, [f"{where}.{name}" for name in values], of.covariance)
     found.notes.append("the polarisation of the lamp is not corrected for: it is in the budget")
+
+
+def _polarisers(path: Path, index: float, description: RigDescription, found: _Found) -> None:
+    run = Run.open(path)
+    if identity(run.description) != identity(description):
+        raise ConfigError(f'{path}: was measured on "{run.description.name}", which is another rig than --rig')
+    of = polarisers.calibrate(run, index)
+    found.add("polarisers", of.values, of.names, of.covariance)
+    found.measured["polarisers"] = {"index": index, "chi_square": of.chi_square, "freedom": of.freedom}
+    found.notes += of.notes
 
 
 def _picture(found: _Found, out: Path, what: str, draw: Callable[[], Figure]) -> None:

@@ -101,6 +101,7 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
     for word in dict.fromkeys(band.polarisation for band in run.bands):
         alike = [result for result in results if result.band.polarisation == word]
         light_and_lens.add_wavelength(frames.description, alike)
+    polarised.tell_apart(results)
     polarised.add_polarisers(frames.description, results)
     columns = (("dark", DARK), ("prnu", PRNU), ("geometry", GEOMETRY), ("visits", LAMP), ("polarisation", POLARISATION))
     for part, names in columns:

@@ -25,12 +25,14 @@ from gonio.lab.rig.calibration_files import covariance_of, known_parameters
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.polariser_axes import linear, on_rays, own, standing
 from gonio.lab.rig.polarisers import SIDES, letters
-from gonio.polarisation import Polariser, Polarisers, ray_axes, states, stokes
+from gonio.polarisation import UNPOLARISED, Polariser, Polarisers, ray_axes, states, stokes
 from gonio.typing import Floats, JsonObject
 
 FACET = 1.5
 """Index of refraction of the facets that a sample may reflect with: glass and polymers; metals polarise less."""
 NUMBERS = ("extinction", "azimuth")
+OF_VISITS = ("s_reference_noise", "s_lamp_drift")
+"""Columns of what the noise of the visits to the white reference leaves open."""
 
 
 def known(description: RigDescription) -> Polarisers:
@@ -113,6 +115,16 @@ def bound(description: RigDescription, pose: Pose, word: str) -> float:
     return out / max(usual, 0.5 * of_white(word))
 
 
+def tell_apart(results: Sequence[BandResult]) -> None:
+    """Give the noise of the visits in each state columns of its own: states are compared with each other."""
+    words = list(dict.fromkeys(result.band.polarisation for result in results))
+    for result, name in itertools.product(results, OF_VISITS) if words != [UNPOLARISED] else ():
+        change = result.values.common.pop(name)
+        for word in words:
+            own = change if word == result.band.polarisation else np.zeros_like(change)
+            result.values.common[name if word == UNPOLARISED else f"{name}_{word}"] = own
+
+
 def add_polarisers(description: RigDescription, results: Sequence[BandResult]) -> None:
     """Add what is uncertain of extinctions and azimuths: `s_light_extinction`, ..., shared by all values."""
     polarisers = known(description)
@@ -163,9 +175,10 @@ STOKES = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, 1j, -1j, 0]])
 """I, Q, U and V by E_s E_s*, E_s E_p*, E_p E_s* and E_p E_p* (docs/conventions.md)."""
 
 
-def of_glass(d: Directions) -> Floats:
-    """The Mueller matrix (4, 4) of a smooth facet of the index `FACET` that reflects from source to detector, over
-    its first element.
+def of_glass(d: Directions, index: float = FACET) -> Floats:
+    """The Mueller matrix (4, 4) of a smooth facet that reflects from source to detector, over its first element.
+
+    `d` is one pair of directions, `index` that of a dielectric.
     """
     (k_i, s_i, p_i), (k_r, s_r, p_r) = (
         ray_axes(theta, phi, incident=incident)
@@ -175,9 +188,9 @@ def of_glass(d: Directions) -> Floats:
     length = float(np.linalg.norm(s))
     s = s / length if length > 1e-9 else s_i  # in one line any plane is that of incidence
     cos_i = 0.5 * float(np.linalg.norm(k_r - k_i))
-    cos_t = math.sqrt(1.0 - (1.0 - cos_i**2) / FACET**2)
-    r_s = (cos_i - FACET * cos_t) / (cos_i + FACET * cos_t)
-    r_p = (FACET * cos_i - cos_t) / (FACET * cos_i + cos_t)
+    cos_t = math.sqrt(1.0 - (1.0 - cos_i**2) / index**2)
+    r_s = (cos_i - index * cos_t) / (cos_i + index * cos_t)
+    r_p = (index * cos_i - cos_t) / (index * cos_i + cos_t)
     into = np.array([s, np.cross(s, k_i)]) @ np.array([s_i, p_i]).T
     out = np.array([s_r, p_r]) @ np.array([s, np.cross(s, k_r)]).T
     jones = out @ np.diag([r_s, r_p]) @ into
