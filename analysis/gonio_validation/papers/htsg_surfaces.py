@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, Protocol, TypedDict
 
 import numpy as np
 from gonio_analysis.curves.in_plane import Curve, curves
@@ -13,7 +13,7 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.observations import Observations, observations
 
 from gonio import geometry
-from gonio.models import HeTorrance
+from gonio.models import HeTorrance, Model
 from gonio.typing import Floats, TomlTable
 from gonio_validation.papers.figure import FigureParameter
 
@@ -124,8 +124,20 @@ def scan(theta_i_deg: float, step_deg: float = 5.0) -> list[float]:
     return [float(a) for a in np.unique(np.round(angles, 6)) if abs(a) <= 85.0]
 
 
+class Measurable(Protocol):
+    """A surface that the simulated goniometer can measure."""
+
+    @property
+    def model(self) -> Model:
+        """Its BRDF."""
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """As a sample file has them."""
+
+
 def measure(
-    surface: HtsgSurface,
+    surface: Measurable,
     *,
     name: str,
     wavelength_nm: float,

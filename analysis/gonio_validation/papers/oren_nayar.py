@@ -73,7 +73,7 @@ def build(figure: int, progress: Callable[[str], None]) -> PaperFigure:
     """The page of Fig. 5, 6, 8, 9, 10, 11 or 13."""
     progress(f"oren-nayar-{figure}: theory")
     if figure > 6:
-        return oren_nayar_samples.build(figure)
+        return oren_nayar_samples.build(figure, progress)
     return _radiance() if figure == 5 else _brdf()
 
 

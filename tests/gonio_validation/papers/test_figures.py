@@ -264,7 +264,7 @@ MATT = {
     "radiance increases as the viewing direction θr approaches the source": True,
     "in contrast to the behavior of rough specular surfaces": True,
     "a different backscattering mechanism": True,
-    "match remarkably well": OPEN,
+    "match remarkably well": True,
 }
 WITH_A_SURFACE = {"not only a body reflectance component": True, "a significant surface reflection component": OPEN}
 VASE = {
