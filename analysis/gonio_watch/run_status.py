@@ -144,9 +144,12 @@ class RunStatus:
 
     def _told(self, event: Event) -> JsonObject:
         point, frames = event.get("point"), event.get("frames", [])
-        exposure = max((float(frame["exposure_s"]) for frame in _lit(frames)), default=0.0)
+        longest: dict[str, float] = {}
+        for frame in _lit(frames):
+            longest[frame["band"]] = max(longest.get(frame["band"], 0.0), float(frame["exposure_s"]))
+        exposure = max(longest.values(), default=0.0)
         levels = event.get("level_per_s") or {}
-        level = max((float(v) for v in levels.values()), default=0.0)
+        level = max((float(v) * longest.get(band, 0.0) for band, v in levels.items()), default=0.0)
         out: JsonObject = {
             "step": int(event["step"]),
             "time_s": rig_s(event),
@@ -156,7 +159,7 @@ class RunStatus:
             "frames": len(frames),
             "exposure_s": exposure,
             "levels_per_s": {name: rounded(value, 5) for name, value in levels.items()},
-            "level": rounded(min(level * exposure, 9.99), 4),
+            "level": rounded(min(level, 9.99), 4),
             "pose_deg": {name: rounded(math.degrees(a), 7) for name, a in event.get("pose", {}).items()},
             "health": [[*row[:2], rounded(row[2], 5), *row[3:4]] for row in event.get("health", [])],
         }

@@ -29,7 +29,8 @@ class Told:
 
     def step(self, number: int, at: float, kind: str = "point", **values: Any) -> dict[str, Any]:
         point = number - 2 if kind == "point" else None
-        frames = [{"file": f"{number}.dng", "exposure_s": 0.5, "lamp": kind != "dark", "bytes": 1000}]
+        lit = kind != "dark"
+        frames = [{"file": f"{number}.dng", "band": "green", "exposure_s": 0.5, "lamp": lit, "bytes": 1000}]
         rest = {"point": point, "pose": {"light": 0.5}, "flag": "", "level_per_s": {"green": 1.2}, "frames": frames}
         return self.take("step", at, step=number, kind=kind, **(rest | values))
 
@@ -60,6 +61,11 @@ def test_a_step_says_what_a_page_shows(told: Told) -> None:
     assert event["health"] == [["camera", "temperature", 31.25, "C"], ["lamp", "state", "on", ""]]
     assert told.run_status.last_shown is not None
     assert (told.run_status.last_shown[0], told.run_status.last_shown[1]["step"]) == ("5.dng", 5)
+    dim = {"file": "6b.dng", "band": "blue", "exposure_s": 4.0, "lamp": True, "bytes": 1000}
+    both = told.step(
+        6, 44.0, level_per_s={"green": 1.2, "blue": 0.1}, frames=[{**dim, "band": "green", "exposure_s": 0.5}, dim]
+    )
+    assert (both["level"], both["exposure_s"]) == (pytest.approx(0.6), 4.0), "each band by its own exposure"
 
 
 def test_a_pause_has_its_reason_and_does_not_count_as_a_step(told: Told) -> None:

@@ -1,7 +1,8 @@
 """What polarised values say by themselves: ratios of states, in the plane of incidence, beside the nearest model.
 
 A ratio holds nothing that all states share (reference, lamp, geometry): its uncertainty is that of the independent
-parts. Each follows from the Mueller matrix over its first element, and is worked out so of a model.
+parts, and of causes that one state has alone. Each follows from the Mueller matrix over its first element, and is
+worked out so of a model, as the polarisers of the table show it.
 """
 
 from __future__ import annotations
@@ -145,7 +146,7 @@ def ratios(data: Observations, best: FitResult | None, label: str | None) -> Pol
         return None
     flat = np.flatnonzero(np.abs(data.directions.out_of_plane) <= IN_PLANE)
     angles = np.round(np.degrees(np.stack(data.directions[flat].angles)) / SAME_DEG) * SAME_DEG
-    u = data.covariance.random if data.covariance is not None else np.zeros(len(data))
+    u = _of_states(data)
     frame = pd.DataFrame({"state": data.states[flat], "value": data.brdf[flat], "u": u[flat]})
     frame[["ti", "pi", "tr", "pr"]] = angles.T
     wide = frame.pivot_table(index=["ti", "pi", "tr", "pr"], columns="state", values=["value", "u"])
@@ -164,6 +165,15 @@ def ratios(data: Observations, best: FitResult | None, label: str | None) -> Pol
     return PolarisationRatios(label if best is not None else None, out) if out else None
 
 
+def _of_states(data: Observations) -> Floats:
+    """Standard uncertainties [1/sr] by what values of other states do not share."""
+    known = data.covariance
+    if known is None:
+        return np.zeros(len(data))
+    alone = [k for k, column in enumerate(known.common.T) if len(set(data.states[column != 0.0])) == 1]
+    return np.asarray(np.sqrt(known.random**2 + np.sum(known.common[:, alone] ** 2, axis=1)))
+
+
 def _lines(
     ratio: Ratio, at: Directions, value: Floats, u: Floats, data: Observations, best: FitResult | None
 ) -> list[Line]:
@@ -175,8 +185,10 @@ def _lines(
         assert best is not None
         evaluate = partial(seen, at=there, wavelength_nm=known_wavelength(wave), cones=cones)
         matrix = mueller(best.model, there, wavelength_nm=known_wavelength(wave), evaluate=evaluate)
+        light, receiver = (one.passed(np.array([1.0, 1.0, 0.0, 0.0]))[1] for one in data.polarisers)
+        shares = {(0, 1): light, (1, 0): receiver, (1, 1): light * receiver}
         with np.errstate(divide="ignore", invalid="ignore"):
-            return ratio.of_matrix(*(matrix[:, i, j] / matrix[:, 0, 0] for i, j in ((0, 1), (1, 0), (1, 1))))
+            return ratio.of_matrix(*(share * matrix[:, i, j] / matrix[:, 0, 0] for (i, j), share in shares.items()))
 
     out = []
     for curve, label in zip(along, labels(along), strict=True):
