@@ -12,7 +12,7 @@ from gonio.lab.reduction import light_and_lens, merging, stray_light
 from gonio.lab.reduction.light_and_lens import _curvatures, diattenuation, polarisation_bound
 from gonio.lab.reduction.polarised import FACET
 from gonio.lab.rig import Pose
-from gonio.lab.rig.light_and_camera import Camera
+from gonio.lab.rig.light_and_camera import Band, Camera
 from tests.gonio_sim.conftest import describe
 
 
@@ -34,7 +34,7 @@ def test_errors_of_a_band_are_slope_and_curvature_of_the_spectrum(
         rows = [3, 7] if k == 0 else [3]
         results.append(
             SimpleNamespace(
-                band=SimpleNamespace(name=f"{w:g}", centre_nm=w, fwhm_nm=20.0), rows=np.array(rows),
+                band=Band(name=f"{w:g}", centre_nm=w, fwhm_nm=20.0), rows=np.array(rows),
                 values=SimpleNamespace(brdf=np.full(len(rows), 1e-5 * (w - 400.0) ** 2), common={}),
             )
         )  # fmt: skip
