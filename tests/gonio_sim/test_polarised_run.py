@@ -88,6 +88,18 @@ def test_an_unknown_azimuth_of_the_lamp_s_polarisation_is_in_the_budget(tmp_path
     assert np.all(np.abs(off * table["brdf"]) < 2.0 * table["u_brdf"] + 1e-3 * table["brdf"])
 
 
+def test_a_lens_that_polarises_without_an_analyser_stays_in_the_budget(tmp_path: Path) -> None:
+    """A facet of glass sends the lens all of s as s: 5 % too bright, which is the bound; a base depolarises."""
+    lens = {"polarisation": {"degree": 0.05, "azimuth_deg": 0.0}}
+    light = {"light": {"empty": True}}
+    table = run(tmp_path, describe("sim-ideal", camera=SMALL | lens, polarisers=light), ["s", "p"])
+    off = (table["brdf"] - truth(table, GLASS)).to_numpy()
+    assert np.abs(off / table["brdf"]).max() > 0.03
+    # between nothing and the bound, which is the root of 3 times u
+    assert np.all(np.abs(off) < 1.05 * np.sqrt(3.0) * table["u_brdf"])
+    assert np.all(table["u_brdf"] < 0.035 * table["brdf"])
+
+
 def test_unpolarised_runs_do_not_notice_polarisers_that_are_out(tmp_path: Path) -> None:
     both = run(tmp_path / "both", ideal(), [])
     none = run(tmp_path / "none", describe("sim-ideal", camera=SMALL), [])

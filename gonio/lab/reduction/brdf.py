@@ -98,11 +98,8 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         reduced.append(steps)
     frames.require_no_repeats()
     results = [_reduce_band(frames, band, steps) for band, steps in zip(run.bands, reduced, strict=True)]
-    for word in dict.fromkeys(band.polarisation for band in run.bands):
-        alike = [result for result in results if result.band.polarisation == word]
-        light_and_lens.add_wavelength(frames.description, alike)
-    polarised.tell_apart(results)
-    polarised.add_polarisers(frames.description, results)
+    light_and_lens.add_wavelength(frames.description, results)
+    polarised.add_shared(frames.description, results)
     columns = (("dark", DARK), ("prnu", PRNU), ("geometry", GEOMETRY), ("visits", LAMP), ("polarisation", POLARISATION))
     for part, names in columns:
         if part in results[0].values.shared:

@@ -160,8 +160,13 @@ def add_wavelength(description: RigDescription, results: list[BandResult]) -> No
 
     The BRDF's derivatives over the wavelength are finite differences over the run's own bands: the first between
     neighbours, with the uncertainty of the centre; the second of three bands, with sigma^2/2, which is what the mean
-    over a band differs by from the value at its centre.
+    over a band differs by from the value at its centre. Of polarised values those of one state belong together.
     """
+    for word in dict.fromkeys(result.band.polarisation for result in results):
+        _along_wavelengths(description, [result for result in results if result.band.polarisation == word])
+
+
+def _along_wavelengths(description: RigDescription, results: list[BandResult]) -> None:
     u = centre_uncertainties(description)
     if len(results) < 2 or not any(u[result.band.alone.name] for result in results):
         return

@@ -9,7 +9,7 @@ reference. Elsewhere rates are divided by that where P and a are known (`through
 Values are those that the polarisers of the rig show, with their extinctions as the rig file has them: the
 attribute `polarisers` says so. What is uncertain of these, and of azimuths, changes a value by d(a M b), with the
 sample's Mueller matrix M. It is the one nearest to half of a smooth glass's and half of a depolariser's that has the
-values that were measured at the point (`add_polarisers`); a fit puts its own model in place of it.
+values that were measured at the point (`add_shared`); a fit puts its own model in place of it.
 """
 
 import itertools
@@ -115,7 +115,13 @@ def bound(description: RigDescription, pose: Pose, word: str) -> float:
     return out / max(usual, 0.5 * of_white(word))
 
 
-def tell_apart(results: Sequence[BandResult]) -> None:
+def add_shared(description: RigDescription, results: Sequence[BandResult]) -> None:
+    """Add what values of several states share, and tell apart what they do not."""
+    _tell_apart(results)
+    _add_polarisers(description, results)
+
+
+def _tell_apart(results: Sequence[BandResult]) -> None:
     """Give the noise of the visits in each state columns of its own: states are compared with each other."""
     words = list(dict.fromkeys(result.band.polarisation for result in results))
     for result, name in itertools.product(results, OF_VISITS) if words != [UNPOLARISED] else ():
@@ -125,7 +131,7 @@ def tell_apart(results: Sequence[BandResult]) -> None:
             result.values.common[name if word == UNPOLARISED else f"{name}_{word}"] = own
 
 
-def add_polarisers(description: RigDescription, results: Sequence[BandResult]) -> None:
+def _add_polarisers(description: RigDescription, results: Sequence[BandResult]) -> None:
     """Add what is uncertain of extinctions and azimuths: `s_light_extinction`, ..., shared by all values."""
     polarisers = known(description)
     u = {
