@@ -134,12 +134,12 @@ class _Begun:
     """Tells which model is begun, and how long those may take that are left.
 
     A job says the label of its model when it begins, and again when it ends. Models take about as long as the square
-    of their parameters says, and three times that with n and k: nothing is foretold before the first of those is done.
+    of their parameters says. Nothing is foretold before the first with n and k is done, whose ways are the longest.
     """
 
     def __init__(self, name: str, sizes: Mapping[Candidate, int], progress: Say) -> None:
         self._name, self._progress, self._many, self._done, self._number = name, progress, len(sizes), 0.0, 0
-        self._left = {c.label: size**2 * (3.0 if "k" in c.free else 1.0) for c, size in sizes.items()}
+        self._left = {c.label: float(size**2) for c, size in sizes.items()}
         self._slow, self._running = {c.label for c in sizes if "k" in c.free}, set[str]()
         self._began = time.perf_counter()
 
