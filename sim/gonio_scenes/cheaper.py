@@ -2,19 +2,15 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.models import EON, GGX, GGXMultiscatter, HeTorrance, Lambert, Model, OrenNayar, Sum
-from gonio.models._htsg_series import TIERS
-from gonio.models.corrected import Corrected
+from gonio.models.forms import Form, ModelDirections, forms
 from gonio.typing import Bools, Floats, NDArray
-from gonio_scenes.material import Change, SceneMaterial
+from gonio_scenes.material import SceneMaterial
 from gonio_scenes.render import Picture, radiance_of, render
 from gonio_scenes.scene import Scene
 
@@ -29,9 +25,6 @@ WORTH = 0.5
 EDGE, FLAT = 0.375, 0.01
 """From pixel to pixel a smooth radiance changes by an eighth of what it does over eight; what changes by three of these
 is an edge, where another light may count. Less than `FLAT` of the radiance cannot move its error much."""
-FITTED = 512
-"""Most directions that a form's parameters are fitted in."""
-STEEPEST_DEG = 80.0
 REPEATS = 3
 BEYOND = 1e3
 """He-Torrance's bound is that of its series times 1 + conditioning, which no direction of a scene brought near this."""
@@ -39,15 +32,6 @@ MOSTLY = 0.5
 """A form is taken where it holds the error in more than this share of the pixels looked at."""
 ALIKE = 0.01
 """Forms that fail in shares of the pixels closer than this are alike, and the cheaper one counts."""
-
-
-class Form(NamedTuple):
-    """A cheaper form of a model."""
-
-    name: str
-    change: Change
-    bound: float = math.inf
-    """Largest relative error anywhere that the model states of it; it may be `BEYOND` times as large."""
 
 
 @dataclass(frozen=True)
@@ -83,88 +67,6 @@ class Taken:
             f"{self.form}{part}; worst checked pixel {self.worst:.2g}, mean {self.mean:.2g} off; an evaluation takes "
             f"{self.cost:.1%} of the time, all of them with the checks {self.spent:.1%}"
         )
-
-
-class Directions(NamedTuple):
-    """Directions in which a material is asked, unit vectors (n, 3) in the surface's frame."""
-
-    toward: Floats
-    away: Floats
-
-    def fitted(self, cheap: Callable[..., Model], start: Sequence[float], most: Sequence[float], to: Model) -> Model:
-        """The model `cheap` of as many numbers as `start` has, nearest to another by relative differences."""
-        from scipy.optimize import least_squares
-
-        some = slice(None, None, -(-len(self.toward) // FITTED))
-        toward, away = self.toward[some], self.away[some]
-        true = np.asarray(to.brdf_vectors(toward, away))
-        lit = true > 0.0
-
-        def off(p: Floats) -> Floats:
-            return np.asarray(cheap(*p).brdf_vectors(toward[lit], away[lit])) / true[lit] - 1.0
-
-        begin = np.clip(start, 1e-6, np.array(most) * (1.0 - 1e-6))
-        return cheap(*least_squares(off, begin, bounds=(0.0, most), x_scale=most).x) if lit.any() else cheap(*begin)
-
-
-def forms(model: Model, seen: Directions) -> list[Form]:
-    """Cheaper forms of a model, the cheapest first.
-
-    Matt ones have their parameters fitted to the model in the directions `seen`.
-    """
-    if isinstance(model, OrenNayar):
-        order = ("qualitative", "functional")
-        cheaper = order[: order.index(model.form)] if model.form in order else order if model.form == "exact" else ()
-        return [_lambert(seen), *(_oren_nayar(form, seen) for form in cheaper)]
-    if isinstance(model, EON):
-        return [_lambert(seen)]
-    if isinstance(model, HeTorrance):
-        return [_he_torrance(tier) for tier in sorted(TIERS, reverse=True) if tier > model.tolerance]
-    if isinstance(model, GGXMultiscatter):
-        return [Form("ggx", lambda m: GGX(m.alpha, m.ior, diffuse_albedo=m.diffuse_albedo))]  # type: ignore[attr-defined]
-    if isinstance(model, Corrected):
-        return [Form("without its misfit", lambda m: m.model)]  # type: ignore[attr-defined]
-    if isinstance(model, Sum):
-        return _of_sum(model, seen)
-    return []
-
-
-def _lambert(seen: Directions) -> Form:
-    return Form("lambert", lambda m: seen.fitted(Lambert, [0.5], [1.0], m))
-
-
-def _oren_nayar(form: str, seen: Directions) -> Form:
-    def change(model: Model) -> Model:
-        assert isinstance(model, OrenNayar)
-        if model.sigma_deg == 0.0 or model.albedo == 0.0:
-            return replace(model, form=form)
-
-        def cheap(albedo: float, sigma_deg: float) -> Model:
-            return replace(model, form=form, albedo=albedo, sigma_deg=sigma_deg)
-
-        return seen.fitted(cheap, [model.albedo, model.sigma_deg], [1.0, STEEPEST_DEG], model)
-
-    return Form(form, change)
-
-
-def _he_torrance(tier: float) -> Form:
-    return Form(f"tolerance {tier:g}", lambda m: replace(m, tolerance=tier), tier)  # type: ignore[type-var]
-
-
-def _of_sum(model: Sum, seen: Directions) -> list[Form]:
-    """Every combination of the terms' forms."""
-    own = Form("", lambda m: m, 0.0)
-    ladders = [[*forms(term, seen), own] for term, _ in model.terms]
-    ranked = sorted(product(*(range(len(ladder)) for ladder in ladders)), key=sum)[:-1]
-    return [_sum([ladder[k] for ladder, k in zip(ladders, ranks, strict=True)]) for ranks in ranked]
-
-
-def _sum(each: Sequence[Form]) -> Form:
-    def change(model: Model) -> Model:
-        assert isinstance(model, Sum)
-        return Sum(*((form.change(term), weight) for form, (term, weight) in zip(each, model.terms, strict=True)))
-
-    return Form(", ".join(form.name for form in each if form.name), change, max(form.bound for form in each))
 
 
 class _Recorder(SceneMaterial):
@@ -236,7 +138,7 @@ def _cheaper(material: SceneMaterial, recorder: _Recorder) -> list[tuple[Form, S
         return []
     toward, away, uv = asked
     out = []
-    for form in forms(material.model, Directions(toward, away)):
+    for form in forms(material.model, ModelDirections(toward, away)):
         cheap = material.in_form(form.change)
         cost = _cost(lambda: material.brdf(toward, away, uv), lambda: cheap.brdf(toward, away, uv))  # noqa: B023
         if cost < WORTH or form.bound < math.inf:

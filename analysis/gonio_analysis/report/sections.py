@@ -13,6 +13,7 @@ from gonio_analysis.report.section import Section
 
 _MODULES = (
     "model_parts",
+    "model_forms",
     "channels",
     "beyond_reflection",
     "polarisation",

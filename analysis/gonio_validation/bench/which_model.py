@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.plots.in_plane import COLOURS
-from gonio_analysis.plots.style import INK
+from gonio_analysis.plots.style import FAINT, INK
 from gonio_analysis.report import notebook
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import number
@@ -26,7 +26,10 @@ LIKE = 0.02
 """A cheaper form is as good as the nearest one where the two differ by less than this, or by less than the nearest one
 is off the sample."""
 PERFECT = 1e-9
-"""What a misfit of less is drawn and stated as."""
+"""What a misfit of less is stated as."""
+LOWEST = 1e-4
+"""What a misfit of less is drawn at: no measurement tells it from this."""
+GREY = "#5f6670"
 
 
 class Form(NamedTuple):
@@ -201,7 +204,7 @@ def draw(samples: Sequence[Compared]) -> Figure:
     """ns an evaluation against misfit, a panel a sample, with the Pareto front."""
     forms = list(dict.fromkeys(c.form for s in samples for c in s.candidates))
     rows = math.ceil(len(forms) / 3)
-    height = 3.0 + 0.2 * rows
+    height = 3.4 + 0.2 * rows
 
     def on(figure: Any) -> None:
         axes = figure.subplots(1, len(samples), sharey=True, squeeze=False)[0]
@@ -215,22 +218,47 @@ def draw(samples: Sequence[Compared]) -> Figure:
 
     caption = (
         "Processor time of one evaluation here against the misfit that is left after the fit. Line: Pareto front. "
-        f"Misfits below {PERFECT:g} are drawn at the lower edge."
+        f"Misfits below {LOWEST:g} are drawn at the lower edge."
     )
     alt = " ".join(s.words for s in samples)
     return rendered("which-model", "front", "which-model", caption, alt, (6.4, height), on)
 
 
 def _panel(ax: Any, sample: Compared, forms: Sequence[str]) -> None:
-    points = [(c.processor_ns, max(c.misfit, PERFECT), c) for c in sample.candidates]
+    points = [(c.processor_ns, max(c.misfit, LOWEST), c) for c in sample.candidates]
     steps = sorted((x, y) for x, y, c in points if c.on_front)
     ax.step(*zip(*steps, strict=True), where="post", color="#9fb8d6", lw=1.2, zorder=1)
     for x, y, c in points:
-        ax.plot([x], [y], marker="o", ms=9.5, mfc=COLOURS[0] if c.on_front else "#5f6670", mec="white", mew=0.8)
-        label = str(forms.index(c.form) + 1)
-        ax.annotate(label, (x, y), fontsize=6.5, color="white", ha="center", va="center_baseline", zorder=5)
+        ax.plot([x], [y], marker="o", ms=4.5, color=COLOURS[0] if c.on_front else GREY, zorder=4)
     ax.set_xscale("log")
     ax.set_yscale("log")
+    ax.set_ylim(0.5 * LOWEST, 2.0 * max(y for _, y, _ in points))
+    ax.margins(x=0.12)
+    for (x, y, c), place in zip(points, _beside(ax, [(x, y) for x, y, _ in points]), strict=True):
+        colour = COLOURS[0] if c.on_front else GREY
+        ax.annotate(
+            str(forms.index(c.form) + 1), (x, y), place, textcoords="offset points", fontsize=7, color=colour,
+            ha="center", va="center", zorder=5, arrowprops={"arrowstyle": "-", "color": FAINT, "lw": 0.6, "shrinkB": 2},
+        )  # fmt: skip
     ax.set_xlabel("ns an evaluation", fontsize=8)
     ax.set_title(sample.sample, fontsize=8, loc="left", color=INK)
     plain_axes(ax)
+
+
+def _beside(ax: Any, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Where the number of each point stands from it [pt]: off all points, and off the numbers placed before."""
+    at = ax.transData.transform(points) * 72.0 / ax.figure.dpi
+    low, high = ax.transAxes.transform([(0.0, 0.0), (1.0, 1.0)]) * 72.0 / ax.figure.dpi
+    turns = np.arange(0.5, 8.0) * 2.0 * np.pi / 8
+    tried = np.array([(r * math.cos(t), r * math.sin(t)) for r in range(9, 80, 3) for t in turns])
+    taken = list(at)
+    out = []
+    for point in at:
+        places = point + tried
+        room = np.min(np.linalg.norm(places[:, None] - np.array(taken), axis=-1), axis=1)
+        room[np.any((places < low + 5.0) | (places > high - 5.0), axis=1)] = 0.0
+        free = room >= 8.5
+        best = int(np.argmax(free)) if free.any() else int(np.argmax(room))
+        taken.append(places[best])
+        out.append((float(tried[best][0]), float(tried[best][1])))
+    return out
