@@ -28,6 +28,7 @@ from gonio.errors import (
 from gonio.lab.rig import Device, Frame, Health, PolariserDevice, Step, Target, ask_for, clock
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Camera
+from gonio.lab.rig.polarisers import Side
 from gonio.lab.rig.regions import require_frame
 from gonio.lab.rig.whereabouts import axes_stand
 from gonio.samples.description import SampleDescription
@@ -137,7 +138,7 @@ class LabRig:
         self.description = description
         self.light = SerialLight(description, devices.light)
         self.arms = _arms(description, devices)
-        self.polarisers: dict[str, PolariserDevice] = {}
+        self.polarisers: dict[Side, PolariserDevice] = {}
         if isinstance(self.arms, ServoArms):
             self.polarisers = {side: ServoPolariser(self.arms, side) for side in description.polarisers.sides()}
         self._camera: cameras.OpenableCamera

@@ -22,6 +22,7 @@ from gonio.samples.description import SampleDescription
 from gonio.samples.files import load_sample
 from tests.gonio_drivers.conftest import be_patient, small
 from tests.gonio_drivers.staged import on_stages
+from tests.gonio_drivers.test_polarisers import with_polarisers
 from tests.gonio_drivers.virtual import virtual_time
 from tests.places import example
 
@@ -112,6 +113,8 @@ def simulated(name: str) -> Case:
     plugin = {"sim": SIM, "sim-ideal": SIM_IDEAL}[name]
     tables = tomllib.loads(plugin.toml)
     tables["camera"] |= SMALL
+    if name == "sim":
+        tables["polarisers"] = {"light": {"empty": True}, "receiver": {"retarder": True}}
 
     @dataclass(frozen=True)
     class Watched:
@@ -135,7 +138,7 @@ def twins(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     """The laboratory's drivers; lamps in three languages, one of them at a terminal and on the real clock."""
     monkeypatch.setattr("gonio.disk.os.fsync", lambda descriptor: None)
     real = name == "lab-scpi"
-    described = small()
+    described = with_polarisers() if name == "lab-mightex" else small()
     devices = described.devices | {"light": described.devices["light"] | {"dialect": name.partition("-")[2]}}
     described = described.model_copy(update={"devices": devices})
     with (

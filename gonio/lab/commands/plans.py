@@ -154,7 +154,8 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     if plan.below_horizon:
         console.show(f"{plan.below_horizon} half vectors need a detector below the horizon; they are left out")
     if rig is None:
-        console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}")
+        states = f", each in {', '.join(plan.polarisation)}" if plan.polarisation else ""
+        console.show(f"wavelengths: {', '.join(f'{w:g} nm' for w in plan.wavelength_nm)}{states}")
         return
     bands = plan.bands(rig.description)
     for (flag, cause), count in count_reasons(points):

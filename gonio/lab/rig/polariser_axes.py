@@ -80,7 +80,7 @@ def throughput(description: RigDescription, pose: Pose, target: str, word: str) 
     return out
 
 
-def opened(rig: Rig) -> Mapping[str, PolariserDevice]:
+def opened(rig: Rig) -> Mapping[Side, PolariserDevice]:
     """The polarisers that the file of a rig names.
 
     Raises

@@ -16,6 +16,7 @@ import numpy as np
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.health import Health
 from gonio.lab.rig.light_and_camera import Band
+from gonio.lab.rig.polarisers import Side
 from gonio.samples.description import SampleDescription
 from gonio.typing import NDArray
 
@@ -130,7 +131,7 @@ class Polarises(Protocol):
     """A rig with polarisers: those that `polarisers` of its rig file names."""
 
     @property
-    def polarisers(self) -> Mapping[str, PolariserDevice]:
+    def polarisers(self) -> Mapping[Side, PolariserDevice]:
         """By `light` and `receiver`."""
 
 
