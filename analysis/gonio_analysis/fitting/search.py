@@ -98,7 +98,7 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
     found = min((approach(problem, data, vector, say) for vector in begin), key=lambda f: f[1])
     goal = replace(alone(few, asked.metric), loss=asked.loss)
     if inside := _inside(problem, found[0], starts) + _of_other_indices(problem, few, goal, found[0]):
-        ends = [refine(problem, few, goal, vector, quick=True) for vector in inside]
+        ends = [refine(problem, few, goal, vector, quick=True, limit=INSIDE) for vector in inside]
         found = min(found, approach(problem, data, min(ends, key=lambda f: f[1])[0], say), key=lambda f: f[1])
     if asked.metric is None and asked.loss == "linear" and data.covariance is not None and data.u_rel_assumed is None:
         found = _beyond(problem, data, few, found, candidates, say)

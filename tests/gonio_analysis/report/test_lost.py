@@ -15,6 +15,7 @@ from gonio_analysis.report import (
     change,
     change_page,
     facts,
+    figures,
     files,
     html,
     laboratories,
@@ -203,7 +204,7 @@ TOGETHER = [
     [
         TOGETHER,
         [(page, "render", "the page")],
-        [(report.figures, "draw", "figures of matte")],
+        [(figures, "draw", "figures of matte")],
         [(html, "document", "the page")],
         [(files, "plain", "summary.json")],
     ],
