@@ -130,3 +130,10 @@ def test_the_time_of_states_is_that_of_their_light_and_of_turning(tmp_path: Path
     assert s - overheads == pytest.approx(2.5 * (plain - overheads), rel=1e-5)  # whole microseconds
     both = Durations(description, in_states((band,), ("unpolarised", "s"))).frames_s(step)
     assert both == pytest.approx(plain + s + 2 * 3.0, rel=1e-12)
+
+
+def test_a_program_without_polarisers_is_refused_before_there_is_a_run(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("gonio_sim.rig.SIDES", ())
+    with pytest.raises(ConfigError, match=r"\[polarisers.light\]: the program of the rig .* drives no polariser"):
+        run(tmp_path, ideal(), ["s"])
+    assert not (tmp_path / "run").exists()

@@ -26,6 +26,7 @@ from gonio.lab.rig import Pose, Rig, RigPlugin, Step, Target, kinematics, region
 from gonio.lab.rig.calibration_files import with_calibrations
 from gonio.lab.rig.description import Reference, RigDescription
 from gonio.lab.rig.motion_planning import Blocked, route
+from gonio.lab.rig.polariser_axes import opened
 from gonio.samples.description import SampleDescription
 from gonio.samples.files import load_sample as load_sample
 
@@ -346,6 +347,7 @@ def _open(rig: RigChoice, out: Path, sample: SampleDescription | None, seed: int
     """The rig, built but not entered, after every check that needs no device."""
     attended = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     device = rig.open(sample=sample, seed=seed, confirm=attended and not yes)
+    opened(device)
     if sample is None and device.repeatable:
         raise ConfigError(f'the rig "{rig.source}" simulates its sample: name one with --sample S.toml')
     if rig.description.reference.how in ("swap", "beam") and not (device.repeatable or attended or yes):
