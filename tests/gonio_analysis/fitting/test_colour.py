@@ -138,7 +138,7 @@ def test_two_channels_are_two_samples(tmp_path: Path) -> None:
     measurement.write(colour_table(SHARED, only=("red", "green")), tmp_path / "paint.csv")
     done = gonio(tmp_path, "fit", tmp_path / "paint.csv", "--model", "phong", "--save", tmp_path / "paint.toml")
     assert done.returncode == 2
-    assert "paint.csv holds 2 samples: name one" in " ".join(done.stderr.split())
+    assert "paint has the channels red and green" in " ".join(done.stderr.split())
     assert not (tmp_path / "paint.toml").exists()
 
 
