@@ -4,13 +4,15 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from gonio import platform
+
 In = TypeVar("In")
 Out = TypeVar("Out")
-THREADS = 2
+THREADS = platform.processors()
 
 
 def in_threads(work: Callable[[In], Out], items: Iterable[In]) -> Iterator[Out]:
-    """`map` in two threads, in order, a few items ahead: decoding a frame releases the interpreter."""
+    """`map` in a thread a processor, in order, a few items ahead: hashing and decoding release the interpreter."""
     with ThreadPoolExecutor(THREADS, thread_name_prefix="gonio-reduce") as pool:
         waiting = []
         try:

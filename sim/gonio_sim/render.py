@@ -39,6 +39,10 @@ DETAIL = 16.0
 """Nodes in the width of the cones, at the finest grid."""
 KEPT = 2
 """Scenes kept: the sample's and the reference's."""
+KEPT_BYTES = 2**27
+"""Where two are larger, one is kept."""
+STRIP = 2**19
+"""Pixels that are rendered together: their arrays are many."""
 BRIGHTEST = 1e30
 """Electrons a second that stand for infinitely many."""
 FINER = 6
@@ -49,7 +53,7 @@ BAND_NODES = 5
 """Wavelengths that the integral over a band is made of."""
 
 
-Painter = Callable[[PixelMap, View, Bools, Floats], None]
+Painter = Callable[[PixelMap, Bools, Floats], None]
 """Fills in the BRDF [1/sr] of the pixels that see a disc."""
 
 
@@ -61,12 +65,12 @@ class SampleDisc:
     radius: float
     centre: tuple[float, float] = (0.0, 0.0)
 
-    def show(self, seen: PixelMap, scene: View, brdf: Floats) -> None:
+    def show(self, seen: PixelMap, brdf: Floats) -> None:
         """Fill in the BRDF of the pixels that see it."""
         x, y = self.centre
         covered: Bools = (seen.x_mm - x) ** 2 + (seen.y_mm - y) ** 2 <= self.radius**2
         if callable(self.paint):
-            self.paint(seen, scene, covered, brdf)
+            self.paint(seen, covered, brdf)
         else:
             brdf[covered] = self.paint
 
@@ -103,7 +107,9 @@ class Renderer:
         """Expected electrons a second of every pixel with a fresh lamp, shape (height, width)."""
         key = (self._world.pose, band, self._world.target, tuple(self._world.polarisers.values()))
         if key not in self._scenes:
-            while len(self._scenes) >= KEPT:
+            camera = self._world.truth.camera
+            kept = min(KEPT, max(1, KEPT_BYTES // (4 * camera.width * camera.height)))
+            while len(self._scenes) >= kept:
                 del self._scenes[next(iter(self._scenes))]
             world = self._world
             self._ends = polarised.ends(world.truth, world.polarisers, world.polariser_errors)
@@ -120,31 +126,39 @@ class Renderer:
         behind = scene.camera_mm[2] < 0.0
         if scene.camera_mm[2] == 0.0 or (behind and target not in ("sample", "empty")):
             return np.zeros((description.camera.height, description.camera.width), np.float32)
-        seen = pixel_map(description, scene)
-        brdf = np.full(seen.weight.shape, 0.0 if behind else description.holder.holder_albedo / math.pi)
-        if description.holder.fiducials is not None and not behind:
-            _paint_fiducials(description.holder, description.holder.fiducials, seen, brdf)
-        for disc in self._through(band) if behind else self._discs(band, target):
-            disc.show(seen, scene, brdf)
-        # A pixel that sees no plane has no weight. A model may be negative where its formula is bad (Oren-Nayar near
-        # grazing), or infinite; light is not.
-        rate = np.empty(brdf.shape, np.float32)
-        full = math.pi * description.camera.responsivity_e_per_s * self._ends.passed
-        electrons_per_s(full, seen.weight, brdf, BRIGHTEST, rate)
-        return self._through_lens(rate, band, seen)
+        height, width = description.camera.height, description.camera.width
+        discs = list(self._through(band) if behind else self._discs(band, target, scene))
+        rate = np.empty((height, width), np.float32)
+        step = height if self._textures is not None else max(1, STRIP // width)  # levels of textures are of all pixels
+        for top in range(0, height, step):
+            bottom = min(top + step, height)
+            above = min(top, 1)  # neighbours, where a pixel's slope counts
+            seen = pixel_map(description, scene, slice(top - above, bottom + 1))
+            brdf = np.full(seen.weight.shape, 0.0 if behind else description.holder.holder_albedo / math.pi)
+            if description.holder.fiducials is not None and not behind:
+                _paint_fiducials(description.holder, description.holder.fiducials, seen, brdf)
+            for disc in discs:
+                disc.show(seen, brdf)
+            # A pixel that sees no plane has no weight. A model may be negative where its formula is bad (Oren-Nayar
+            # near grazing), or infinite; light is not.
+            own = slice(above, above + bottom - top)
+            scale = math.pi * description.camera.responsivity_e_per_s * self._ends.passed
+            electrons_per_s(scale, seen.weight[own], brdf[own], BRIGHTEST, rate[top:bottom])
+        return self._through_lens(rate, band)
 
-    def _through_lens(self, rate: Floats32, band: Band, seen: PixelMap) -> Floats32:
+    def _through_lens(self, rate: Floats32, band: Band) -> Floats32:
         """The lens's blur, a band's own pixels, and what lens and sensor spread; each colour of a mosaic for itself."""
         from scipy.ndimage import gaussian_filter
 
         camera = self._world.truth.camera
         if camera.blur_px:
             rate = gaussian_filter(rate, camera.blur_px, mode="nearest", output=np.float32)
-        if band.channel != "mono":
-            rate[~of_channel(camera.pattern, band.channel, seen.rows, seen.cols)] = 0.0
-        if not camera.stray_light and not camera.stray_halo:
+        if band.channel == "mono" and not camera.stray_light and not camera.stray_halo:
             return rate
         lit = of_channel(camera.pattern, band.channel, slice(0, camera.height), slice(0, camera.width))
+        rate[~lit] = 0.0
+        if not camera.stray_light and not camera.stray_halo:
+            return rate
         share = np.count_nonzero(lit) / lit.size
         added = np.full(rate.shape, camera.stray_light * float(rate.mean(dtype=np.float64)) / share)
         if camera.stray_halo:
@@ -152,7 +166,7 @@ class Renderer:
             added += camera.stray_halo * halo / share
         return np.asarray(np.where(lit, np.minimum(rate + added, BRIGHTEST), 0.0), dtype=np.float32)
 
-    def _discs(self, band: Band, target: InHolder) -> Iterator[SampleDisc]:
+    def _discs(self, band: Band, target: InHolder, scene: View) -> Iterator[SampleDisc]:
         """The round surfaces in view."""
         description, reference = self._world.truth, self._world.truth.reference
         in_place, whole = reference.diameter_mm / 2, description.holder.sample_diameter_mm / 2
@@ -166,9 +180,9 @@ class Renderer:
             if reference.how == "beside":
                 yield SampleDisc(self._reference(band), in_place, reference.offset_mm)
             if target == "mirror":
-                yield SampleDisc(self._mirror(band), whole)
+                yield SampleDisc(self._mirror(band, scene), whole)
             else:
-                yield self._sample(band)
+                yield self._sample(band, scene)
 
     @property
     def _radius(self) -> float:
@@ -187,7 +201,7 @@ class Renderer:
         if model is None:
             return
 
-        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
+        def paint(seen: PixelMap, covered: Bools, brdf: Floats) -> None:
             def of(model: models.Model, lit: Bools | tuple[Whole, Whole]) -> Floats:
                 at = geometry.Directions.from_vectors(seen.omega_i[lit], seen.omega_r[lit])
                 return np.asarray(sum(share * model.btdf(*at.angles, wavelength_nm=wave) for wave, share in waves))
@@ -227,7 +241,7 @@ class Renderer:
         rate: Floats32 = np.minimum(math.pi * camera.responsivity_e_per_s * weight * shared, BRIGHTEST).astype(
             np.float32
         )
-        return self._through_lens(rate, band, seen)
+        return self._through_lens(rate, band)
 
     def _reference(self, band: Band) -> float:
         """The white reference: its certificate times its true error; a table is read at the centre of the frame."""
@@ -247,7 +261,7 @@ class Renderer:
         assert self._world.truth.reference.table is not None
         return read(self._world.truth.reference.table)
 
-    def _sample(self, band: Band) -> SampleDisc:
+    def _sample(self, band: Band, scene: View) -> SampleDisc:
         """The sample: its model's lobe on a grid of nodes, and its spike pixel by pixel."""
         model, radius, waves = self._model, self._radius, self._waves(band)
         if model is None:
@@ -255,13 +269,16 @@ class Renderer:
                 f'the simulated rig "{self._world.truth.name}" has no sample to look at: name one with --sample S.toml'
             )
 
-        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
-            grid = sample_function(self._lobes(model, scene, waves), radius, self._finest_mm)
+        if self._textures is not None:
+            return SampleDisc(self._textured(self._textures, waves, scene), radius)
+        grid = sample_function(self._lobes(model, scene, waves), radius, self._finest_mm)
+
+        def paint(seen: PixelMap, covered: Bools, brdf: Floats) -> None:
             grid.paint(seen.x_mm, seen.y_mm, (0.0, 0.0), radius, brdf)
             if model.has_spike:
                 self._paint_spike(model, waves, seen, scene, covered, brdf)
 
-        return SampleDisc(paint if self._textures is None else self._textured(self._textures, waves), radius)
+        return SampleDisc(paint, radius)
 
     def _lobes(self, model: models.Model, scene: View, waves: list[tuple[float, float]]) -> Function:
         """A model's lobe [1/sr] over the sample, averaged over the cones of lamp and lens."""
@@ -283,11 +300,11 @@ class Renderer:
 
         return lobes
 
-    def _textured(self, textures: Textures | Plate, waves: list[tuple[float, float]]) -> Painter:
+    def _textured(self, textures: Textures | Plate, waves: list[tuple[float, float]], scene: View) -> Painter:
         """The sample with textures or regions: as one model, level by level of these."""
         radius = self._radius
 
-        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
+        def paint(seen: PixelMap, covered: Bools, brdf: Floats) -> None:
             x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-radius, radius, PROBED)]))
 
             def probe(model: models.Model) -> Floats:
@@ -315,16 +332,16 @@ class Renderer:
         """The white reference behind a black screen that ends with a knife edge at x = 0, and covers x > 0."""
         white = self._reference(band)
 
-        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
+        def paint(seen: PixelMap, covered: Bools, brdf: Floats) -> None:
             brdf[covered] = np.where(seen.x_mm[covered] > 0.0, 0.0, white)
 
         return paint
 
-    def _mirror(self, band: Band) -> Painter:
+    def _mirror(self, band: Band, scene: View) -> Painter:
         """A front-surface mirror, perfectly smooth aluminium, which shows the lamp and nothing else."""
         mirror = models.build("he-torrance", {"sigma0_um": 0.0, "tau_um": 1.0, "ior": "Al"})
 
-        def paint(seen: PixelMap, scene: View, covered: Bools, brdf: Floats) -> None:
+        def paint(seen: PixelMap, covered: Bools, brdf: Floats) -> None:
             brdf[covered] = 0.0
             self._paint_spike(mirror, [(band.centre_nm, 1.0)], seen, scene, covered, brdf)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_sim import render
 from gonio_sim.render import Renderer
 from gonio_sim.rig import SimulatedRig
 from gonio_sim.world import World
@@ -278,3 +279,35 @@ def test_the_mirror_shows_the_lamp_as_straight_through_by_its_reflectance() -> N
     assert mirror[middle].mean() / through[middle].mean() == pytest.approx(
         float(0.5 * (abs(f_s) ** 2 + abs(f_p) ** 2)), rel=2e-3
     )  # its change in view
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [
+        (MATTE, {"holder": {"fiducials": {}}}),
+        (MATTE, {"lamp": {"beam_diameter_mm": 6.0}}),
+        (sample("he-torrance", sigma0_um=0.1, tau_um=3.0, ior="Al"), {}),
+        (sample("he-torrance", sigma0_um=0.01, tau_um=3.0, ior="Al"), {"camera": {"distortion": [0.1, 0, 0, 0, 0]}}),
+        (sample("phong", k_d=0.2, k_s=0.8, exponent=200), {"camera": {"pattern": "RGGB", "stray_light": 0.01}}),
+    ],
+)
+def test_a_picture_is_the_same_however_many_rows_are_rendered_together(
+    what: SampleDescription, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Edges of markers and of the beam, whose pixels are judged by their neighbours; the spike; what lenses bend."""
+    camera = CAMERA["camera"] | changes.get("camera", {})
+    rig = describe("sim-ideal", **({"lamp": {"half_angle_deg": 0.5}} | changes | {"camera": camera}))
+    whole = scene(rig, what, deg(40, -40, 5, 10))
+    monkeypatch.setattr(render, "STRIP", 96 * 7)
+    np.testing.assert_array_equal(scene(rig, what, deg(40, -40, 5, 10)), whole)
+
+
+def test_of_large_pictures_one_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(describe("sim-ideal", **CAMERA), MATTE, 1)
+    for most, kept in ((2**27, 2), (4 * 96 * 72 + 1, 1)):
+        monkeypatch.setattr(render, "KEPT_BYTES", most)
+        renderer = Renderer(world)
+        for angle in (30, 40, 50):
+            world.pose = deg(angle, -40)
+            renderer.rate(world.truth.bands.containing(550))
+        assert len(renderer._scenes) == kept

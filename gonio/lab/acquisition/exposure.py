@@ -95,7 +95,7 @@ def clipped_dn(camera: Camera, frame: Frame) -> float:
     if not camera.photon_noise or camera.response:
         return math.inf
     mosaic, black = frame.mosaic.ravel(), frame.black_level_dn
-    mosaic = mosaic[:: 1 + 2 * (mosaic.size // MANY)]  # an odd step meets every colour
+    mosaic = np.ascontiguousarray(mosaic[:: 1 + 2 * (mosaic.size // MANY)])  # an odd step meets every colour
     width = 1 + math.ceil(5.0 * math.hypot(camera.read_noise_e, camera.dsnu_e) / camera.electrons_per_dn)
     # of blocks' brightest pixels: the brightest one of all, and one that `PILED` pixels reach
     peaks = np.maximum.reduceat(mosaic, np.arange(0, mosaic.size, max(mosaic.size // BLOCKS, 1)))

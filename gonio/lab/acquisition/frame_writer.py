@@ -14,7 +14,7 @@ import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,12 +24,14 @@ from gonio.errors import ArgumentError, DataError
 from gonio.lab.acquisition.journal import is_whole, sealed
 from gonio.lab.acquisition.records import FrameFile, FrameLabel, FrameRecord, StepRecord
 from gonio.lab.rig import Frame, Pose, Step
-from gonio.lab.rig.dng import encode_dng, pixels_sha256, read_raw, read_record
+from gonio.lab.rig.dng import dng_pieces, pixels_sha256, read_raw, read_record
 from gonio.lab.rig.light_and_camera import Band
 from gonio.platform import sync_folder
 
 WAITING = 8
-"""How many frames may wait for the disk before the camera has to."""
+"""How many frames may wait for the disk before the camera has to; of large ones fewer."""
+PIXELS_WAITING = 2**22
+"""Of a frame, that count as one of `WAITING`."""
 MOST_STAGED = 128
 """Files that wait to be synced together, at most."""
 SYNCING = 8
@@ -76,8 +78,10 @@ class Store:
                 self._settling.result()
                 self._settling = self._pool.submit(self._settle)
         else:
-            self._room.acquire()
-            out = self._pool.submit(self._in_thread, frame, path, label)
+            places = min(WAITING, 1 + frame.mosaic.size // PIXELS_WAITING)
+            for _ in range(places):
+                self._room.acquire()
+            out = self._pool.submit(self._in_thread, frame, path, label, places)
         self.waited_s += time.monotonic() - began
         return out
 
@@ -87,26 +91,30 @@ class Store:
 
     def _write(self, frame: Frame, path: str, label: Callable[[str], str]) -> FrameFile:
         try:
+            pieces: Sequence[bytes | memoryview]
             if frame.file is None:
-                data = encode_dng(frame, label(pixels_sha256(frame.mosaic)))
-                digest = hashlib.sha256(data).hexdigest()
+                pieces = dng_pieces(frame, label(pixels_sha256(frame.mosaic)))
             else:  # the camera's own file is kept as it is
-                data = frame.file.read_bytes()
-                digest = hashlib.sha256(data).hexdigest()
+                pieces = [frame.file.read_bytes()]
+            whole = hashlib.sha256()
+            for piece in pieces:
+                whole.update(piece)
+            digest = whole.hexdigest()
+            if frame.file is not None:
                 self._staged.append(Staged(path + BESIDE, label(digest).encode()))
-            self._staged.append(Staged(path, data))
-            return FrameFile(digest, len(data))
+            self._staged.append(Staged(path, pieces))
+            return FrameFile(digest, sum(map(len, pieces)))
         except OSError as error:
             raise _not_written(path, error) from None
 
-    def _in_thread(self, frame: Frame, path: str, label: Callable[[str], str]) -> FrameFile:
+    def _in_thread(self, frame: Frame, path: str, label: Callable[[str], str], places: int) -> FrameFile:
         try:
             file = self._write(frame, path, label)
             if len(self._staged) >= MOST_STAGED or file.bytes >= LARGE:
                 self._settle()
             return file
         finally:
-            self._room.release()
+            self._room.release(places)
 
     def _settle(self) -> None:
         """Bring what is staged to the disk. Once that has failed nothing is committed any more: a frame is missing."""

@@ -28,7 +28,7 @@ from gonio.lab.reduction.step_rates import Reduced, Rejected
 from gonio.lab.rig import Frame, Target, kinematics
 from gonio.lab.rig.calibration_files import known_parameters
 from gonio.lab.rig.description import RigDescription
-from gonio.lab.rig.dng import pixels_sha256, read_raw
+from gonio.lab.rig.dng import read_raw
 from gonio.lab.rig.imaging import Channel, pixel_map
 from gonio.lab.rig.light_and_camera import Band, Camera, by_coefficients, linear_dn, read_maps, straightened
 from gonio.lab.rig.polariser_axes import throughput
@@ -219,14 +219,22 @@ class RunFrames:
         camera, boxes = self.description.camera, self._boxes
         crops: dict[Target, list[Dark]] = {target: [] for target in boxes}
         means: list[tuple[float, list[float]]] = []
-        for frame in in_threads(lambda taken: self.read_or_note(*taken), frames):
-            if frame is not None:
-                values = linear_dn(camera, frame.mosaic)
-                for target, box in boxes.items():
-                    crops[target].append((frame.exposure_s, values[box].copy()))
-                if self.spreads:
-                    of = (stray_light.planes(camera, values, channel) for channel in self._channels)
-                    means.append((frame.exposure_s, [float(plane.mean(dtype=np.float64)) for plane in of]))
+
+        def look(taken: tuple[StepRecord, FrameRecord]) -> tuple[float, list[Array], list[float]] | None:
+            """Exposure [s], crops, and means of the channels of a dark frame, which is not kept."""
+            frame = self.read_or_note(*taken)
+            if frame is None:
+                return None
+            values = linear_dn(camera, frame.mosaic)
+            of = (stray_light.planes(camera, values, channel) for channel in self._channels if self.spreads)
+            own = [values[box].copy() for box in boxes.values()]
+            return frame.exposure_s, own, [float(plane.mean(dtype=np.float64)) for plane in of]
+
+        for exposure_s, own, of_channels in filter(None, in_threads(look, frames)):
+            for target, crop in zip(boxes, own, strict=True):
+                crops[target].append((exposure_s, crop))
+            if self.spreads:
+                means.append((exposure_s, of_channels))
         if not all(crops.values()):
             raise DataError(f"{self.run.path}: every dark frame is missing or damaged ({self._first()}); {RETAKE}")
         used = {exposure_s for taken in crops.values() for exposure_s, _ in taken}
@@ -271,8 +279,6 @@ class RunFrames:
             why = f"was exposed {frame.exposure_s:g} s, and the journal says exposure_s = {entry.exposure_s!r}"
         if not why and (label := label_of(path, data)) is not None:
             why = label.otherwise(self.run.key, step, entry)
-            if not why and label.pixels not in (None, entry.sha256) and label.pixels != pixels_sha256(frame.mosaic):
-                why = "does not hold the pixels that it was written with"
         if why:
             raise ContradictoryFrame(f"{entry.file} {why}")
         self._pictures.add(some_rows_sha256(frame.mosaic), step.step, frame.exposure_s)
@@ -318,7 +324,7 @@ class RunFrames:
 
     def _shot(self, region: Region, frame: Frame, entry: FrameRecord, channel: Channel) -> Shot:
         camera, darks = self.description.camera, self._darks[region.target]
-        values = region.roi.of(linear_dn(camera, frame.mosaic)).astype(float)
+        values = linear_dn(camera, region.roi.of(frame.mosaic)).astype(float)
         linear, by_camera = self._freed(region, frame, values, channel)
         gain, full = camera.electrons_per_dn, full_scale_dn(camera, frame)
         lamp = self.lamp(entry)
@@ -363,7 +369,7 @@ class RunFrames:
         level, slope = self._dark_means[channel]
         values, dark = linear_dn(camera, frame.mosaic), level + slope * frame.exposure_s
         full = frame.black_level_dn + full_scale_dn(camera, frame)
-        self.full = max(self.full, float(np.mean(values >= full)))
+        self.full = max(self.full, np.count_nonzero(values >= full) / values.size)
         if camera.nonlinearity:
             black = frame.black_level_dn
             values = straightened(camera, values - black)

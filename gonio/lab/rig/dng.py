@@ -104,6 +104,11 @@ def encode_dng(frame: Frame, record: str = "") -> bytes:
     ArgumentError
         See `write_dng`.
     """
+    return b"".join(dng_pieces(frame, record))
+
+
+def dng_pieces(frame: Frame, record: str = "") -> tuple[bytes, memoryview]:
+    """What `encode_dng` gives, in two pieces: of large frames the second is the mosaic itself."""
     _check(frame)
     record = record or frame.record
     rows, columns = frame.mosaic.shape
@@ -125,7 +130,7 @@ def encode_dng(frame: Frame, record: str = "") -> bytes:
         head[at[tag] : at[tag] + len(value)] = value
     if record:
         head[at[270] : at[270] + len(record)] = record.encode("ascii")
-    return b"".join((head, strip.data))
+    return bytes(head), strip.reshape(-1).view(np.uint8).data
 
 
 @lru_cache(256)
@@ -317,13 +322,12 @@ def _read_own(tags: raw_tags.Tags, data: bytes) -> tuple[NDArray[np.uint16], str
     else:
         return None
     strip = np.frombuffer(data, np.uint8, size, start)
-    mosaic = np.empty((rows, columns), np.uint16)
-    if bits == 16:
-        mosaic[:] = strip.view("<u2").reshape(mosaic.shape)
-    else:
-        from gonio.lab.rig._dng_packing import unpack12
+    if bits == 16:  # as it lies in the file, which cannot be written to
+        return strip.view("<u2").reshape(rows, columns).astype(np.uint16, copy=False), pattern, float(white)
+    from gonio.lab.rig._dng_packing import unpack12
 
-        unpack12(strip.reshape(rows, -1), mosaic)
+    mosaic = np.empty((rows, columns), np.uint16)
+    unpack12(strip.reshape(rows, -1), mosaic)
     return mosaic, pattern, float(white)
 
 
