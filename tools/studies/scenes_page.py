@@ -31,6 +31,7 @@ FOOTER = footer(
     "Every number on this page is in `summary.json`; the tables are in `tables/`, the figure as SVG and PNG in "
     "`figures/`."
 )
+ERRORS = {"mean": "error of the mean", "pixel": "error of a pixel"}
 RAYS = TableSection(
     "Rays a pixel", "samples",
     "A Lambertian sphere on a floor. Errors are root mean squares over the picture's mean radiance.",
@@ -153,28 +154,29 @@ def _peers(s: JsonObject) -> list[Block]:
 
 
 def drawn(s: JsonObject) -> Figure:
-    """Error against time, for rays a pixel and for tolerances."""
+    """Error against time, for rays a pixel and for tolerances: of the picture's mean, and of a pixel."""
 
     def on(figure: Any) -> None:
-        axes = figure.subplots()
-        figure.subplots_adjust(0.13, 0.16, 0.98, 0.97)
-        for name, colour in zip(dict.fromkeys(r["scene"] for r in s["samples"]), COLOURS, strict=False):
-            for key, style, label in (("samples", "o-", "rays for all"), ("tolerances", "s--", "to a tolerance")):
-                points = [(r["seconds"], r["rms"]) for r in s[key] if r["scene"] == name]
-                axes.plot(*zip(*points, strict=True), style, color=colour, ms=4, lw=1.2, label=f"{name}, {label}")
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlabel("seconds", fontsize=8)
-        axes.set_ylabel("root mean square error", fontsize=8)
-        axes.grid(True, color=FAINT, lw=0.4)
-        axes.tick_params(which="both", labelsize=7.5)
-        axes.legend(fontsize=7.5, frameon=False)
+        figure.subplots_adjust(0.11, 0.3, 0.985, 0.92, wspace=0.28)
+        for ax, (error, words) in zip(figure.subplots(1, len(ERRORS)), ERRORS.items(), strict=True):
+            for name, colour in zip(dict.fromkeys(r["scene"] for r in s["samples"]), COLOURS, strict=False):
+                for key, style, label in (("samples", "o-", "rays for all"), ("tolerances", "s--", "to a tolerance")):
+                    points = [(r["seconds"], r[error]) for r in s[key] if r["scene"] == name]
+                    ax.plot(*zip(*points, strict=True), style, color=colour, ms=4, lw=1.2, label=f"{name}, {label}")
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+            ax.xaxis.set_minor_formatter("")
+            ax.set_xlabel("seconds", fontsize=8)
+            ax.set_title(words, fontsize=8, loc="left")
+            ax.grid(True, color=FAINT, lw=0.4)
+            ax.tick_params(which="both", labelsize=7.5)
+        figure.legend(*ax.get_legend_handles_labels(), loc="lower center", ncols=2, fontsize=7.5, frameon=False)
 
     caption = (
-        "Error against time. With rays for all it is over the mean radiance; to a tolerance it is over the pixel's, "
-        "where that is larger."
+        "Error against time. The mean is that of the whole picture; a pixel's error is over its radiance, or over the "
+        "mean where that is larger, root mean square."
     )
     alt = " ".join(
-        f"{r['scene']}, {number(r['rays'])} rays: {r['seconds']:.2g} s, {r['rms']:.2g}." for r in s["samples"]
+        f"{r['scene']}, {number(r['rays'])} rays: {r['seconds']:.2g} s, {r['pixel']:.2g}." for r in s["samples"]
     )
-    return rendered("error-against-time", "front", "", caption, alt, (5.2, 3.2), on)
+    return rendered("error-against-time", "front", "", caption, alt, (6.4, 3.4), on)
