@@ -76,11 +76,7 @@ def blocks(d: DatasetSummary) -> Sequence[Block]:
         return []
     names = sorted({part for each in found.values() for part in each[0]["shares"]}, key=_place)
     rows: list[list[Text]] = [
-        [
-            model,
-            angle_text(row["theta_i_deg"]),
-            *(percent(row["shares"][n]) if n in row["shares"] else "–" for n in names),
-        ]
+        [f"{model}, {angle_text(row['theta_i_deg'])}", *(percent(row["shares"].get(n)) for n in names)]
         for model, each in found.items()
         for row in each
     ]
@@ -88,10 +84,10 @@ def blocks(d: DatasetSummary) -> Sequence[Block]:
         "The share of the incident light that each part of a model reflects, as fitted. “Parts of the models”, above, "
         "draws them over the angle."
     )
-    right = tuple(range(1, 2 + len(names)))
+    right = tuple(range(1, 1 + len(names)))
     return [
         Heading(3, "Parts of the models", cut(", ".join(found), 60)),
-        table(words, ["model", "θi", *names], rows, right=right),
+        table(words, ["model, θi", *names], rows, right=right),
     ]
 
 

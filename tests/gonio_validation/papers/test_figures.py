@@ -333,7 +333,7 @@ def test_oren_nayar_s_curves_bend_where_the_model_does_alone(figure: int) -> Non
     page = oren_nayar.build(figure, lambda _: None)
     panel = page.panels[0]
     for curve in dict.fromkeys(row[0] for row in panel.rows):
-        x, y = np.array([(row[2], row[3]) for row in panel.rows if row[0] == curve]).T
+        x, y = np.array([(row[2], row[3]) for row in panel.rows if row[:2] == (curve, "theory")]).T
         turn = np.sort(np.abs(np.diff(np.diff(y) / np.diff(x))))[::-1]
         # beside the model's own corners (retro, and two of Torrance and Sparrow's mask, each within two steps) each
         # segment of a curve that is drawn smoothly has nearly its neighbour's slope: 5 % of the steepest
