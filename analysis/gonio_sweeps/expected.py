@@ -35,7 +35,7 @@ from gonio.lab.acquisition.schedule import reference_pose
 from gonio.lab.reduction import white_reference
 from gonio.lab.reduction.angle_errors import CAUSES, angle_axes, zero_uncertainties
 from gonio.lab.reduction.white_reference import Level
-from gonio.lab.rig import Pose, Step, kinematics, light_and_camera
+from gonio.lab.rig import Pose, Step, kinematics
 from gonio.lab.rig.description import RigDescription
 from gonio.typing import Floats
 from gonio_sweeps.candidates import half_angles, read
@@ -72,7 +72,9 @@ class Expected:
         seconds = [self._durations.frames_s(Step(0, "point", 0, p), f) for p, f in zip(self.poses, factor, strict=True)]
         each = zip(self.poses, self._pixels, factor, strict=True)
         description = self._durations.description
-        weights = [_weight(description, p, pixels, f, description.acquisition.frames) for p, pixels, f in each]
+        weights = [
+            exposure.expected_weight(description, p, pixels, f, description.acquisition.frames) for p, pixels, f in each
+        ]
         return ExpectedVisits(np.where(brdf > 0, 1.0 / np.sqrt(weights), np.inf), np.array(seconds))
 
 
@@ -91,28 +93,14 @@ def level(durations: Durations, steps: Sequence[Step], brdf: Mapping[int, float]
         elif step.kind == "reference":
             pixels = exposure.expected_pixels(description, step.pose)
             visits.append(now + took)
-            variances.append(1.0 / _weight(description, step.pose, pixels, 1.0, description.reference.frames))
+            variances.append(
+                1.0 / exposure.expected_weight(description, step.pose, pixels, 1.0, description.reference.frames)
+            )
         now, here = now + took, here if step.kind == "dark" else step.pose
     fitted = white_reference.fit(
         np.array(visits), np.ones(len(visits)), np.array(variances), np.array([*times.values()])
     )
     return fitted, times
-
-
-def _weight(description: RigDescription, pose: Pose, pixels: float, reflectance: float, frames: int) -> float:
-    """1 / (relative variance) of the mean over the region of interest, from all frames of a visit."""
-    camera, acquisition = description.camera, description.acquisition
-    if acquisition.u_rel_target is not None:
-        exposures = exposure.expected_bracket(description, pose, reflectance)
-    else:
-        single = exposure.expected_exposure_s(description, pose, reflectance)
-        exposures = (*(single,) * frames, single / exposure.SHORTER)
-    rate = camera.responsivity_e_per_s * reflectance * exposure.cosine_of_incidence(pose)
-    out = 0.0
-    for t in exposures:
-        noise = float(light_and_camera.variance(camera, (rate + camera.dark_current_e_per_s) * t))
-        out += 1.0 / max(noise / (pixels * (rate * t) ** 2) + description.lamp.frame_noise**2, 1e-18)
-    return out
 
 
 def batch_s(durations: Durations, poses: Sequence[Pose], seconds: Sequence[float], here: Pose) -> float:

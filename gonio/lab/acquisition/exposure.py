@@ -292,6 +292,22 @@ def expected_pixels(description: RigDescription, pose: Pose) -> int:
     return max(int(math.pi * description.acquisition.roi_radius_mm**2 / (slant * side**2)), 1)
 
 
+def expected_weight(description: RigDescription, pose: Pose, pixels: float, reflectance: float, frames: int) -> float:
+    """1 / (relative variance) of the mean over the region of interest, from all frames of a visit, by the rig file."""
+    camera, acquisition = description.camera, description.acquisition
+    if acquisition.u_rel_target is not None:
+        exposures = expected_bracket(description, pose, reflectance)
+    else:
+        single = expected_exposure_s(description, pose, reflectance)
+        exposures = (*(single,) * frames, single / SHORTER)
+    rate = camera.responsivity_e_per_s * reflectance * cosine_of_incidence(pose)
+    out = 0.0
+    for t in exposures:
+        noise = float(light_and_camera.variance(camera, (rate + camera.dark_current_e_per_s) * t))
+        out += 1.0 / max(noise / (pixels * (rate * t) ** 2) + description.lamp.frame_noise**2, 1e-18)
+    return out
+
+
 class _Planned:
     """The choice of a bracket for a region of `count` pixels, of which equal parts have mean `rates` [e-/s], and are as
     bright as `brightest`.

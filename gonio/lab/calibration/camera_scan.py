@@ -94,11 +94,11 @@ class CameraScan:
         self._manual.lamp(False)
 
     def bracket(self) -> None:
-        """Two frames of the white reference at each of many exposures from dark to full, for a response curve."""
+        """Four frames of the white reference at each of many exposures from dark to full, for a response curve."""
         self._manual.lamp(True)
         times = self._times(BRACKET * self._meter("flat").exposure_s)
-        self._say(f"bracket: 2 frames at each of {len(times)} exposures from {times[0]:.3g} to {times[-1]:.3g} s")
-        self._take_all("flat", [float(t) for t in (*times, *times[::-1])])  # there and back: a lamp that drifts shows
+        self._say(f"bracket: 4 frames at each of {len(times)} exposures from {times[0]:.3g} to {times[-1]:.3g} s")
+        self._take_all("flat", [float(t) for t in (*times, *times[::-1]) * 2])  # there and back: the lamp drifts
         self._manual.lamp(False)
 
     def stray(self, kind: Literal["trap", "edge"]) -> None:

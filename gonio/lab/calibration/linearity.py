@@ -129,7 +129,7 @@ def fit(
 
 VALUES = 256
 SMOOTHNESS = 30.0
-SMOOTHNESS_OF_MEANS = 100.0
+SMOOTHNESS_OF_MEANS = 300.0
 """Of means over many pixels, which have little noise: what a bracket leaves between its levels is filled smoothly."""
 FEWEST_EXPOSURES = 3
 
@@ -142,7 +142,7 @@ def hat(values: Floats, low: float = 0.01, high: float = 0.99) -> Floats:
     return np.asarray(weight / weight.max())
 
 
-def solve(values: Array, log_exposures: Floats, smoothness: float = SMOOTHNESS) -> Floats:
+def solve(values: Array, log_exposures: Floats, smoothness: float = SMOOTHNESS, x: Floats | None = None) -> Floats:
     """g of every value, with g(128) = 0: the least squares of Debevec and Malik, eq. 3; 0 where no frame determines it.
 
     Parameters
@@ -151,6 +151,8 @@ def solve(values: Array, log_exposures: Floats, smoothness: float = SMOOTHNESS) 
         Of pixels (rows) at exposures (columns), 0 to 255. Between whole values g is straight.
     log_exposures
         ln of each exposure time [s].
+    x
+        Places of the 256 values on a scale on which g is smooth; by default the values, as in the paper.
     """
     values = np.asarray(values, dtype=float)
     weights = hat(values / (VALUES - 1)) ** 2
@@ -169,8 +171,10 @@ def solve(values: Array, log_exposures: Floats, smoothness: float = SMOOTHNESS) 
     normal -= shares.T @ (shares / of_pixel[:, None])
     normal[VALUES // 2, VALUES // 2] += 1.0
     curvature = np.zeros((VALUES - 2, VALUES))
-    k = np.arange(VALUES - 2)
-    curvature[k, k], curvature[k, k + 1], curvature[k, k + 2] = 1.0, -2.0, 1.0
+    k, steps = np.arange(VALUES - 2), np.diff(np.arange(VALUES) if x is None else x)
+    mean = 0.5 * (steps[1:] + steps[:-1])
+    curvature[k, k], curvature[k, k + 2] = mean / steps[:-1], mean / steps[1:]
+    curvature[k, k + 1] = -curvature.sum(axis=1)
     inner = hat(np.linspace(0.0, 1.0, VALUES))[1:-1, None] ** 2
     normal += smoothness**2 * curvature.T @ (inner * curvature)
     return np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ right)
@@ -227,7 +231,8 @@ def curve(frames: Sequence[Array], exposures_s: Floats, groups: int = 200) -> tu
 
 def _grown(means: Floats, times: Floats) -> Floats:
     """Linear values by the groups' means at some exposures."""
-    light = np.exp(solve(means, np.log(times), SMOOTHNESS_OF_MEANS))
+    # a power of the value, and a linear camera, are straight over the logarithm of the value
+    light = np.exp(solve(means, np.log(times), SMOOTHNESS_OF_MEANS, np.log1p(np.arange(VALUES))))
     first, last = np.flatnonzero(hat(np.linspace(0.0, 1.0, VALUES)) > 0)[[0, -1]]
     # the weights leave the ends undetermined: black is no light, and the top goes on as the curve does
     light[:first] = light[first] * np.arange(first) / first

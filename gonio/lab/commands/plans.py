@@ -31,6 +31,10 @@ SHOWN = 12
 ROWS = 24
 """Angles of incidence that have a row of their own."""
 PICTURES = (".png", ".svg", ".pdf")
+INCIDENCES = 4
+"""Angles of incidence that have a column in the table of what to expect."""
+POSES = 5
+"""Points of each that it rests on."""
 
 
 @app.callback()
@@ -80,6 +84,8 @@ def show(
         _separate(seen, separate, picture)
         return
     describe(loaded, seen, left_out=left_out)
+    if seen is not None:
+        _expect(seen)
     if picture is not None and seen is not None:
         _draw(seen, picture, step)
 
@@ -171,6 +177,39 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     )
     if sampler is not None:
         console.show("then points are chosen as the run grows:", *(f"  {line}" for line in about(sampler)))
+
+
+def _expect(seen: Prepared) -> None:
+    """Print the uncertainties that a matt sample will have, and which calibration changes them."""
+    import numpy as np
+
+    from gonio.lab.acquisition.duration import Durations
+    from gonio.lab.acquisition.schedule import reference_pose
+    from gonio.lab.calibration.expected_budget import advice, expected, total
+
+    plan, rig, points, _ = seen
+    description = rig.description
+    groups: dict[float, list[Assessed]] = {}
+    for a in points:
+        if a.pose is not None and a.point.theta_r_deg < 90.0:
+            groups.setdefault(round(a.point.theta_i_deg), []).append(a)
+    if not groups or description.reference.how == "beam":
+        return
+    angles = sorted(groups)
+    angles = [angles[k] for k in sorted({round(k) for k in np.linspace(0, len(angles) - 1, INCIDENCES)})]
+    chosen = [[groups[i][k] for k in np.linspace(0, len(groups[i]) - 1, POSES).astype(int)] for i in angles]
+    bands, steps = plan.bands(description), rig.schedule(plan, points)
+    visits = max(sum(step.kind == "reference" for step in steps) - 1, 1)
+    between_s = Durations(description, bands).parts(steps).total_s / visits
+    poses = [a.pose for group in chosen for a in group if a.pose is not None]
+    causes = expected(description, poses, reference_pose(description), bands[0], between_s)
+    title = "what to expect of a matt sample: standard uncertainty / %, at theta_i / deg"
+    table = console.table("cause", *(f"{i:g}" for i in angles), "to do, or known from", title=title)
+    rows = [(cause.cause, cause.u_rel, advice(cause, causes)) for cause in causes]
+    for name, u_rel, what in (*rows, ("u_brdf", total(causes), "without what is still to do")):
+        by_angle = np.sqrt(np.mean(np.reshape(u_rel, (-1, POSES)) ** 2, axis=1))
+        table.add_row(name, *("-" if np.isnan(u) else f"{100.0 * u:.2g}" for u in by_angle), what)
+    console.show(table)
 
 
 def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[Step], out: Path | None) -> list[str]:

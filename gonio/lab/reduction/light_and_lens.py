@@ -86,8 +86,8 @@ def _beam(measured: MeasuredBand, covariance: Floats, brdf: Floats) -> tuple[Flo
     description, band = measured.description, measured.band
     at_visit = np.zeros(len(BEAM))
     if description.reference.how != "beam":
-        at_visit = _monomials(description, measured.visit.pose, "reference", band)
-    gradients = np.array([at_visit - _monomials(description, p.pose, "sample", band) for p in measured.points])
+        at_visit = monomials(description, measured.visit.pose, "reference", band)
+    gradients = np.array([at_visit - monomials(description, p.pose, "sample", band) for p in measured.points])
     gradients = gradients.reshape(-1, len(BEAM)) * brdf[:, None]
     size = np.einsum("pk,kl,pl->p", gradients, covariance, gradients)
     if not size.size:
@@ -97,7 +97,7 @@ def _beam(measured: MeasuredBand, covariance: Floats, brdf: Floats) -> tuple[Flo
     return column, np.sqrt(np.maximum(size - column**2, 0.0))
 
 
-def _monomials(description: RigDescription, pose: Pose, target: Target, band: Band) -> Floats:
+def monomials(description: RigDescription, pose: Pose, target: Target, band: Band) -> Floats:
     """Mean over a region of x, y, x^2, xy, y^2 on the plane that faces the lamp [mm, mm^2]."""
     view = kinematics.view(description, pose)
     region = regions.roi(description, view, target, band.channel)

@@ -354,11 +354,14 @@ def pool(description: RigDescription, region: Region, shots: list[Shot], dark_ex
     lines = np.array([shot.leverage for shot in shots])
     of_darks = np.zeros(2)
     of_darks[: charge.size] = -((weights / exposure) @ lines) * np.sqrt(of_pixels * mean_2)
+    chi_square = float(np.sum((rates - pooled) ** 2 / variances))
+    # a curve is wrong otherwise at each exposure, most near black, and its camera's noise nobody has measured
+    wider = max(1.0, chi_square / (len(shots) - 1)) if camera.response and len(shots) > 1 else 1.0
     return Merged(
         rate=pooled,
-        variance=float(1.0 / np.sum(1.0 / variances)),
-        of_lamp=float(np.sum((weights * of_lamp * max(pooled, 0.0)) ** 2)),
-        chi_square=float(np.sum((rates - pooled) ** 2 / variances)),
+        variance=float(1.0 / np.sum(1.0 / variances)) * wider,
+        of_lamp=float(np.sum((weights * of_lamp * max(pooled, 0.0)) ** 2)) * wider,
+        chi_square=chi_square,
         frames=len(shots),
         frame_weights=weights,
         of_darks=of_darks,
