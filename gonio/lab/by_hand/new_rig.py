@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError
+from gonio.lab.acquisition.measure import RigChoice
 from gonio.lab.rig import FoundServo, RigDiscovery, RigPlugin, RigService
 from gonio.lab.rig.description import RigDescription
 from gonio.typing import TomlTable
@@ -259,7 +260,9 @@ def make(
         "# Angles are in degrees, lengths in millimetres, from the centre of the sample.\n\n" + body
     )
     description = parse(RigDescription, tomlkit.parse(text).unwrap(), "the new rig file")
-    plugin.open(description, sample=None, seed=0, confirm=False)  # checks the table [devices], and touches nothing
+    # checks the table [devices], and touches nothing; a video camera has no response yet
+    new = RigChoice(plugin, description, "the new rig file")
+    new.open(by_hand=form["devices"]["camera"]["driver"].startswith("uvc"))
     return text, description
 
 
@@ -299,9 +302,9 @@ def _servos(
         raise ConfigError("no servo was said to turn light or camera; nothing is written")
     form["holder"]["axes"] = [name for name in ("tilt", "spin") if name in axes]
     for name in {"tilt", "spin"} - set(axes):
-        del table["axes"][name]
+        table["axes"].pop(name, None)
     if "changer" not in axes:
-        del table["changer"]
+        table.pop("changer", None)
     for name, (servo, direction, zero) in axes.items():
         place = table["changer"] if name == "changer" else table["axes"].setdefault(name, {})
         place.update({"id": servo.id, "model": servo.model, "direction": direction, "zero_count": zero})
@@ -365,12 +368,13 @@ def _lamp(person: Person | Answers, form: Any, found: PortsFound) -> None:
 def _camera(person: Person | Answers, form: Any, found: PortsFound) -> None:
     ask, camera = person.about, form["camera"]
     text = "The camera: folder (tethered, RAW files), uvc, or another driver's name"
-    driver = ask("camera_driver", text, "folder", some)
+    usual = form["devices"]["camera"]["driver"]
+    driver = ask("camera_driver", text, usual, some)
+    if driver != usual:
+        form["devices"]["camera"] = {"driver": driver}
     if driver == "folder":
         _tethered(person, form["devices"]["camera"], found)
-    else:
-        form["devices"]["camera"] = {"driver": driver}
-    if driver == "uvc":
+    if driver.startswith("uvc"):
         text = "The device of the video camera"
         form["devices"]["camera"]["device"] = ask("camera_device", text, "/dev/video0", some)
     for key, text, check in (

@@ -15,7 +15,8 @@ import numpy as np
 
 from gonio.config import parse
 from gonio.lab.acquisition import exposure
-from gonio.lab.calibration.geometry_problem import start_of, unknowns
+from gonio.lab.acquisition.schedule import reference_pose
+from gonio.lab.calibration.geometry_problem import INK, Unknown, start_of, unknowns
 from gonio.lab.reduction.angle_errors import angle_axes, encoder_steps
 from gonio.lab.reduction.geometry_errors import GeometryErrors, parameters, zero_keys, zero_u_deg
 from gonio.lab.reduction.light_and_lens import BEAM, monomials
@@ -43,6 +44,8 @@ SHAPE = np.diag([1e-3, 1e-3, 2e-4, 2e-4, 2e-4]) ** 2
 WARM_UP = 0.05
 """Usual light that a lamp loses while it warms up, with the time constant `WARMS_S`."""
 WARMS_S = 400.0
+TINY = 1e-6
+NAMED = 3
 SMALL = 0.32
 """Of all others: what is below changes their root sum of squares by less than 5 %."""
 
@@ -155,30 +158,69 @@ def _zeros(description: RigDescription, poses: Sequence[Pose], reference: Pose) 
 
 def _geometry(description: RigDescription, poses: Sequence[Pose], reference: Pose) -> Expected:
     """All but the zeros: tilts, offsets, encoders, distances."""
-    names, file = parameters(description), _made(description, "geometry")
-    if names:
-        rig, words = description, []
-    else:
-        sought = [u for u in unknowns(description, []) if not u.path.endswith(("zero_offset_deg", "backlash_deg"))]
-        words = [u.words for u in sought]
-        usual = Calibrated(
-            parameters=[u.path for u in sought], u=[CAREFUL * u.within for u in sought],
-            correlation=np.eye(len(sought)).tolist(), kind="geometry", file="", sha256="", made=datetime.date.today(),
-        )  # fmt: skip
-        rig = parse(RigDescription, start_of(description), "rig file")
-        rig = rig.model_copy(update={"calibration": CalibrationUse(known=(usual,))})
-    errors = GeometryErrors(rig)
+    if parameters(description):
+        u_rel = _rss(list(_of_light(GeometryErrors(description), poses, reference).T), len(poses))
+        return Expected("geometry", u_rel, because=_made(description, "geometry"))
+    sought = [u for u in unknowns(description, []) if not u.path.endswith(("zero_offset_deg", "backlash_deg"))]
+    effects = _of_unknowns(description, sought, poses, reference)
+    u_rel = _rss(list(effects.T), len(poses))
+    most = sought[int(np.argmax(np.abs(effects[int(np.argmax(u_rel))])))].words
+    return Expected("geometry", u_rel, "gonio calibrate geometry", f"mostly {most}", held=False)
+
+
+def _of_light(errors: GeometryErrors, poses: Sequence[Pose], reference: Pose) -> Floats:
+    """Relative change of values by each cause, (poses, causes): of the light at a point, less that at the white."""
 
     def light(pose: Pose, target: Target) -> Floats:
         seen = errors.at(pose, target).relative_light
         return np.asarray(0.5 * (seen[:, 0] - seen[:, 1]))
 
-    effects = np.array([light(pose, "sample") for pose in poses]) - light(reference, "reference")
-    u_rel = _rss(list(effects.T), len(poses))
-    if names:
-        return Expected("geometry", u_rel, because=file)
-    most = words[int(np.argmax(np.abs(effects[int(np.argmax(u_rel))])))]  # each cause is one number: a unit matrix
-    return Expected("geometry", u_rel, "gonio calibrate geometry", f"mostly {most}", held=False)
+    return np.array([light(pose, "sample") for pose in poses]) - light(reference, "reference")
+
+
+def _of_unknowns(
+    description: RigDescription, sought: Sequence[Unknown], poses: Sequence[Pose], reference: Pose
+) -> Floats:
+    """The same of numbers that nobody has measured, shape (poses, unknowns): each by what is usual of it."""
+    axes = {path: description.axes()[name] for name, path in zero_keys(description).items()}
+    u = [
+        CAREFUL * each.within if (axis := axes.get(each.path)) is None
+        else max(axis.zero_u_deg, 0.0 if axis.zero_offset_known else BY_EYE_DEG, TINY)
+        for each in sought
+    ]  # fmt: skip
+    usual = Calibrated(
+        parameters=[each.path for each in sought], u=u, correlation=np.eye(len(sought)).tolist(), kind="geometry",
+        file="", sha256="", made=datetime.date.today(),
+    )  # fmt: skip
+    tables = start_of(description)
+    for axis in (*filter(None, tables["arms"].values()), tables["holder"]):
+        axis["zero_offset_known"] = True  # or nothing is taken out, and no reading would change
+    rig = parse(RigDescription, tables, "rig file")
+    use = CalibrationUse(known=(usual,))  # of a unit matrix each independent cause is one of its numbers
+    return _of_light(GeometryErrors(rig.model_copy(update={"calibration": use})), poses, reference)
+
+
+def what_stays_open(description: RigDescription, sought: Sequence[Unknown]) -> list[str]:
+    """What numbers of the geometry that stay unknown do to a matt sample at theta_i = 60 deg, the strongest first."""
+    sought = [u for u in sought if u.path != INK and not u.path.endswith("backlash_deg")]
+    if not sought or description.reference.how == "beam":
+        return []
+    pose, reference = Pose(light=math.radians(60.0), camera=-math.radians(45.0)), reference_pose(description)
+    effects = np.abs(_of_unknowns(description, sought, [pose], reference)[0])
+    rest = math.hypot(description.reference.u_rel, float(_noise(description, [pose], reference)[0]))
+    order = np.argsort(-effects).tolist()
+    small = [k for k in order if float(np.sum(effects[order[order.index(k) :]] ** 2)) < (SMALL * rest) ** 2]
+    said = [f"{sought[k].words} {100.0 * effects[k]:.2g} %" for k in order if k not in small]
+    out = [f"open, and felt at theta_i = 60 deg of a matt sample: {', '.join(said)}"] if said else []
+    if small:
+        named = ", ".join(sought[k].words for k in small[:NAMED])
+        named += f" and {len(small) - NAMED} more" if len(small) > NAMED else ""
+        together = 100.0 * float(np.sqrt(np.sum(effects[small] ** 2)))
+        out.append(
+            f"open, and nothing to do: {named}; together {together:.2f} % there, "
+            f"beside {100.0 * rest:.2g} % of the white and the noise"
+        )
+    return out
 
 
 def _camera(description: RigDescription, poses: Sequence[Pose], reference: Pose) -> Expected:

@@ -18,6 +18,7 @@ from gonio.lab.calibration import camera_scan, fiducials, intrinsics
 from gonio.lab.calibration import geometry as geometric
 from gonio.lab.calibration import geometry_scans as poses
 from gonio.lab.calibration.board import read_board
+from gonio.lab.calibration.expected_budget import what_stays_open
 from gonio.lab.calibration.geometry_problem import Sighting, start_of
 from gonio.lab.calibration.geometry_scans import GeometryScans, Kept, read_sightings, reversed_approach
 from gonio.lab.calibration.intrinsics import Intrinsics
@@ -222,6 +223,7 @@ def _finish(
         notes += [
             *(f"WARNING: {said}" for said in fit.warnings),
             *fit.open,
+            *what_stays_open(filed, [u for u, known in zip(fit.unknowns, fit.known, strict=True) if not known]),
             *(f"left out, too far from all else: {what}" for what in fit.dropped),
         ]
         measured = {"sightings": len(sightings), "misfit": fit.misfit, "rank": fit.rank, "of": len(fit.unknowns)}

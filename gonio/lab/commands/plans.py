@@ -208,7 +208,7 @@ def _expect(seen: Prepared) -> None:
     rows = [(cause.cause, cause.u_rel, advice(cause, causes)) for cause in causes]
     for name, u_rel, what in (*rows, ("u_brdf", total(causes), "without what is still to do")):
         by_angle = np.sqrt(np.mean(np.reshape(u_rel, (-1, POSES)) ** 2, axis=1))
-        table.add_row(name, *("-" if np.isnan(u) else f"{100.0 * u:.2g}" for u in by_angle), what)
+        table.add_row(name, *("-" if np.isnan(u) else f"{100.0 * u:.2g}" if u > 5e-5 else "0" for u in by_angle), what)
     console.show(table)
 
 

@@ -184,6 +184,7 @@ def new_rig(
     out: Annotated[Path, typer.Option(help="The rig file to write.")] = Path("my.toml"),
     port: Annotated[list[str] | None, typer.Option(help="Look at this port; by default at all there are.")] = None,
     answers: Annotated[Path | None, typer.Option(help="A TOML file with the answers: nobody is asked.")] = None,
+    like: Annotated[str, typer.Option(help="The shipped rig whose file is filled in: lab, three-servos.")] = "lab",
 ) -> None:
     """Ask what a rig file needs, find ports, servos and lamp, and write the file, with a comment on each value."""
     from gonio import plugins
@@ -191,7 +192,9 @@ def new_rig(
     from gonio.lab.by_hand.new_rig import Answers, Person, make
 
     require_new(out)
-    plugin = plugins.load("gonio.rigs", "lab")
+    plugin = plugins.load("gonio.rigs", like)
+    if not hasattr(plugin, "lamp_on"):
+        raise ConfigError(f"--like {like}: looks for no devices; there are lab and three-servos")
     person: Person | Answers = (
         Answers(answers, read_toml(answers)) if answers is not None else Person(_line, console.note)
     )
