@@ -178,10 +178,14 @@ class LabRig:
         """Nothing to prepare: a laboratory takes every step as it comes."""
 
     def present(self, target: Target) -> None:
-        """Put the sample or the white reference into the beam: by the changer's servo, or by the user's hand."""
+        """Put the sample or the white reference into the beam: by the changer's servo, whoever reads
+        `devices.holder.target_file`, or the user's hand.
+        """
         how = self.description.reference.how
         if how == "axis":
             self.arms.change(target)
+        elif how == "swap" and self.put(target):
+            pass
         elif how in ("swap", "beam") and self._confirm and target != self._target:
             self.light.alive(PERSON_S)
             ask_for(target, beam=how == "beam")

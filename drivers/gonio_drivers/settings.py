@@ -238,7 +238,8 @@ class ServedHolder(Strict):
     """Somebody who changes what lies in the holder and is no person: a robot, or the twins."""
 
     target_file: str
-    """Takes a word for what has to lie there: "mirror", "empty" or "sample". `gonio rig align` then asks nobody."""
+    """Takes a word for what has to lie there: "mirror", "empty", "sample", or a "reference" that is swapped. Nobody is
+    asked then."""
 
 
 class DeviceSettings(Strict):

@@ -445,3 +445,14 @@ def test_serve_writes_a_rig_file_that_works(tmp_path: Path) -> None:
         if twin.stdout is not None:
             twin.stdout.close()
     assert not (tmp_path / "twin" / "servos").exists()
+
+
+def test_a_reference_that_is_swapped_is_put_there_by_who_reads_the_target_file(tmp_path: Path) -> None:
+    """A run on twins measured the sample in place of the white, where nobody was asked."""
+    tables = tomllib.loads(THREE_SERVOS.toml)
+    tables["camera"] |= {"response": [float(v) for v in range(256)]}
+    tables["devices"]["holder"] = {"target_file": str(tmp_path / "target")}
+    rig = THREE_SERVOS.open(parse(RigDescription, tables, "t"), sample=None, seed=0, confirm=False)
+    for target in ("reference", "sample"):
+        rig.present(target)  # type: ignore[arg-type]
+        assert (tmp_path / "target").read_text() == f"{target}\n"

@@ -350,7 +350,8 @@ def _notes(result: BandResult, goals: Directions) -> list[str]:
     if result.scatter > max(1.44, 1.0 + 3.0 * math.sqrt(2.0 / max(result.freedom, 1))):
         out.append(
             f"frames of one step scatter {math.sqrt(result.scatter):.1f} times as much as the rig file's noise "
-            "says (see lamp.noise and the camera's noise there): u_random is too small"
+            "says (see lamp.noise and the camera's noise there): u_random is "
+            + ("made wider by it" if result.measured.description.camera.response else "too small")
         )
     return out
 
