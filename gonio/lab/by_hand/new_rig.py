@@ -195,12 +195,12 @@ def look(plugin: DriverPlugin, ports: Sequence[str], say: Callable[[str], None])
     for name in ports:
         say(f"{name}: who is there?")
         try:
-            if plugin.is_release(name):
-                found.releases.append(name)
-                said = "a release box"
-            elif (lamp := plugin.lamp_on(name)) is not None:
+            if (lamp := plugin.lamp_on(name)) is not None:  # some answer ERR to what they do not know, as a box does
                 found.lamps.append((name, *lamp))
                 said = f'a lamp, "{lamp[1]}", dialect {lamp[0]}'
+            elif plugin.is_release(name):
+                found.releases.append(name)
+                said = "a release box"
             elif servos := plugin.servos(name, lambda text: None):
                 found.servos += servos
                 said = "servos: " + ", ".join(f"id {s.id} ({s.model}, {s.baud} baud)" for s in servos)
@@ -360,7 +360,8 @@ def _lamp(person: Person | Answers, form: Any, found: PortsFound) -> None:
     text = "Its dialect: scpi, mightex, arduino, or a .toml file of your own"
     table["port"], table["dialect"] = where, ask("lamp_dialect", text, spoken or "scpi", some)
     table["level"] = ask("lamp_level", "How bright, as a fraction of its largest output", "0.8", fraction)
-    listed = ask("bands", 'Its bands: "tunable", or centre and width of each in nm (450 20, 550 25)', "tunable", bands)
+    usual = ", ".join(f"{b['centre_nm']:g} {b['fwhm_nm']:g}" for b in form["bands"].get("list", ())) or "tunable"
+    listed = ask("bands", 'Its bands: "tunable", or centre and width of each in nm (450 20, 550 25)', usual, bands)
     if listed is not None:
         form["bands"] = {"list": listed}
 
@@ -405,14 +406,21 @@ def _tethered(person: Person | Answers, table: Any, found: PortsFound) -> None:
 
 def _geometry(person: Person | Answers, form: Any) -> None:
     ask, table = person.about, form["geometry"]
+    disc, opening = (
+        f"{2.0 * table[distance] * math.tan(math.radians(half)):.1f}"
+        for distance, half in (
+            ("light_distance_mm", form["lamp"]["half_angle_deg"]),
+            ("camera_distance_mm", form["camera"]["lens_half_angle_deg"]),
+        )
+    )
     for name, what in (("light", "lamp"), ("camera", "lens")):
         text = f"Distance from the sample's centre to the {what} [mm]"
         table[f"{name}_distance_mm"] = ask(f"{name}_distance_mm", text, None, positive)
     for name, what in (("light", "lamp's housing"), ("camera", "camera")):
         key, text = f"{name}_body_radius_mm", f"Radius of the {what} [mm]"
         table[key] = ask(key, text, str(table[key]), positive)
-    lamp = ask("lamp_diameter_mm", "Diameter of the lamp's bright disc [mm]", "17.5", positive)
-    pupil = ask("aperture_mm", "Diameter of the lens's aperture: focal length / f-number [mm]", "17.5", positive)
+    lamp = ask("lamp_diameter_mm", "Diameter of the lamp's bright disc [mm]", disc, positive)
+    pupil = ask("aperture_mm", "Diameter of the lens's aperture: focal length / f-number [mm]", opening, positive)
     form["lamp"]["half_angle_deg"] = _half_angle(lamp, table["light_distance_mm"])
     form["camera"]["lens_half_angle_deg"] = _half_angle(pupil, table["camera_distance_mm"])
 
@@ -436,8 +444,12 @@ def _reference(person: Person | Answers, form: Any) -> None:
             table["offset_mm"] = [
                 ask(f"reference_{n}_mm", f"Its centre in the sample's {n} [mm]", None, _angle) for n in "xy"
             ]
-    table["albedo"] = ask("reference_albedo", "Its reflectance, by its certificate (0 to 1)", "0.99", fraction)
-    table["u_rel"] = ask("reference_u_rel", "Relative standard uncertainty of that", "0.005", fraction)
+    table["albedo"] = ask(
+        "reference_albedo", "Its reflectance, by its certificate (0 to 1)", str(table["albedo"]), fraction
+    )
+    table["u_rel"] = ask(
+        "reference_u_rel", "Relative standard uncertainty of that", str(max(table["u_rel"], 0.005)), fraction
+    )
 
 
 def _angle(text: str) -> float:
