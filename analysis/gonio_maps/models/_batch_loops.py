@@ -44,9 +44,10 @@ from gonio_maps.models._batch_steps import (
 FAR_VALLEY = 100.0
 """The second valley counts where its chi-square is at most this many times that of the first, plus this number."""
 CLOSE_VALLEY = 10.0
-"""An acceptable fit is followed by another start whose chi-square is at most this many times its own, plus 20."""
+"""A fit is followed by another start whose chi-square is at most this many times its own, plus 20."""
 CLOSE = 1000.0
-"""Or at most this: where values are few, valleys lie close together and the grid's steps cost less chi-square."""
+"""Or at most this, times what an unacceptable fit exceeds an acceptable one by: where values are few, valleys lie close
+together and the grid's steps cost less chi-square."""
 FLAT = 50.0
 """Other rows of a valley are tried where chi-square is at most this much above an acceptable one."""
 UNCLEAR, AGAIN = 10.0, 10
@@ -332,7 +333,7 @@ def by_valleys(  # type: ignore[no-untyped-def]
     first, second = valleys(profile, widths)
     best, which, times, close, more = np.inf, first, CLOSE_VALLEY, CLOSE, FLAT
     while which >= 0:
-        if best <= acceptable and profile[which] > max(times * best + 20.0, close):
+        if profile[which] > max(times * best + 20.0, close * max(best / acceptable, 1.0)):
             break
         begun(shade, derive, unit, levels, seen[0], starts[which], width, weights, box, rooms, end, seen[1].size)
         best = lowered(shade, derive, seen, box, kept, work, rooms, best)

@@ -9,9 +9,10 @@ own, as in docs/misfit.md. docs/maps.md has the formulas and what differs from a
 Starts are a grid of twelve widths and a few indices (Oren-Nayar: five sigmas; He-Torrance: eleven slopes and six
 sigma0). Of f = level g(width, n) + base level and base follow by linear least squares. The lowest valley of chi-square
 over the width is the start. One of four values tells it with He-Torrance, and all of them where the grid alone comes
-near an acceptable fit. Others are tried where chi-square so far rejects the model (1 %), or where their own on the
-grid is below 1000, or below ten times that and 20 more; of one valley also where it is at most 50 above an acceptable
-one. A fit that comes to a minimum that is known stops.
+near an acceptable fit. Others are tried where their own chi-square on the grid is below 1000, or below ten times the
+lowest so far and 20 more; of one valley also where it is at most 50 above an acceptable one. Where chi-square so far
+rejects the model (1 %) the 1000 grows as that exceeds an acceptable one. A fit that comes to a minimum that is known
+stops.
 
 Rough surfaces reflect by their slope alone, so He-Torrance has valleys beside each other along sigma0 at one slope:
 there the model is taken at up to twelve sigma0, and valleys between them are fitted (`_batch_scaled`). A parameter
