@@ -454,5 +454,5 @@ def test_a_reference_that_is_swapped_is_put_there_by_who_reads_the_target_file(t
     tables["devices"]["holder"] = {"target_file": str(tmp_path / "target")}
     rig = THREE_SERVOS.open(parse(RigDescription, tables, "t"), sample=None, seed=0, confirm=False)
     for target in ("reference", "sample"):
-        rig.present(target)  # type: ignore[arg-type]
+        rig.present(target)
         assert (tmp_path / "target").read_text() == f"{target}\n"
