@@ -109,7 +109,7 @@ def viewer(d: DatasetSummary, normalise: str, room: int = BYTES) -> ViewerData:
     here, own = d.wavelength_nm, "simulated" if d.simulated else "measured"
     drawn = {int(c.rows[0]) for c in d.curves}
     known = {
-        nm: d.data if nm == here else next(iter(results.values())).data
+        nm: d.every_state if nm == here else next(iter(results.values())).data
         for nm, results in sorted(waves.items(), key=lambda item: item[0] or 0.0)
     }
     chosen, most = _level({nm: curves(data) for nm, data in known.items()}, here, drawn, len(d.models), room)

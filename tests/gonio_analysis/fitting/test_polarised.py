@@ -6,6 +6,9 @@ import pytest
 from gonio_analysis.curves.in_plane import curves
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.report.facts import DatasetSummary
+from gonio_analysis.report.viewer import viewer
+from gonio_analysis.selection.compare import examine
 
 from gonio import measurement, polarisation
 from gonio.errors import DataError
@@ -159,3 +162,18 @@ def test_polarisers_that_are_none_are_named(stated: object, said: str) -> None:
     frame.attrs["polarisers"] = stated
     with pytest.raises(DataError, match=said):
         observations(frame, polarised=True)
+
+
+def test_the_page_s_plot_has_a_curve_a_state_with_its_own_theory() -> None:
+    """s and p of a dielectric differ near Brewster's angle: a line of the other is far off."""
+    d = examine(polarised(HeTorrance(0.15, 2.0, 1.5), "s p", u_rel=1e-4), ["he-torrance"], name="lacquer")
+    view = viewer(DatasetSummary.of(d, "lacquer", {}), "max")
+    assert len(view["labels"]) == 8
+    assert {label.split(", ")[1] for label in view["labels"]} == {"s", "p"}
+    for curve in view["waves"][0]["curves"]:
+        values, theory = curve["series"]
+        near = np.array([np.argmin(np.abs(np.array(theory["angle"]) - angle)) for angle in values["angle"]])
+        smooth = np.abs(np.array(values["angle"]) - curve["mirror"]) > 3.0  # beside the spike
+        # lines have a point every degree or so, at which a lobe changes by a tenth
+        ratio = np.array(theory["brdf"])[near] / np.array(values["brdf"])
+        np.testing.assert_allclose(ratio[smooth & (np.array(values["brdf"]) > 1e-3)], 1.0, atol=0.2)
