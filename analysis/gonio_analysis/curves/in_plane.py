@@ -95,6 +95,7 @@ class Curve:
             wavelength_nm=NO_WAVELENGTH_NM if np.isnan(wavelength) else wavelength,
             cones=(data.source_solid_angle_sr, data.receiver_solid_angle_sr),
             state=self.state,
+            polarisers=data.polarisers,
         )
 
     def directions(self, angle: Floats) -> Directions:

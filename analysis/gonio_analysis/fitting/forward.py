@@ -23,7 +23,7 @@ import numpy as np
 from gonio.checks import values
 from gonio.geometry import SAME_ANGLE, Directions
 from gonio.models.polarised import Light
-from gonio.polarisation import UNPOLARISED, states
+from gonio.polarisation import PERFECT, UNPOLARISED, Polarisers, states
 from gonio.typing import Floats
 from gonio_analysis.fitting.observations import Observations
 
@@ -107,11 +107,17 @@ def sees_spike(model: Any, at: Observations) -> bool:
 
 
 def seen(
-    model: Any, at: Directions, *, wavelength_nm: float, cones: tuple[float, float], state: str = UNPOLARISED
+    model: Any,
+    at: Directions,
+    *,
+    wavelength_nm: float,
+    cones: tuple[float, float],
+    state: str = UNPOLARISED,
+    polarisers: Polarisers = PERFECT,
 ) -> Floats:
     """As `apparent`, in the directions given, through cones of (source, receiver) solid angle [sr].
 
-    `state` is that of light and analyser, a word of `gonio.polarisation`.
+    `state` is that of light and analyser, a word of `gonio.polarisation`, made by such polarisers.
 
     Without a cone on either side a specular spike has no finite value: then the model without its spike is returned.
     """
@@ -128,7 +134,7 @@ def seen(
     value = partial(_value, cones=through, wave=wave, without_width=cones == (0.0, 0.0))
     if state == UNPOLARISED:
         return value(model)
-    return np.asarray(model.in_light(Light(at, *states([state] * len(at))), value, wave))
+    return np.asarray(model.in_light(Light(at, *states([state] * len(at), polarisers)), value, wave))
 
 
 def _value(

@@ -8,6 +8,7 @@ import numpy as np
 
 from gonio import geometry
 from gonio.geometry import Directions, groups
+from gonio.polarisation import UNPOLARISED
 from gonio.typing import Floats, Ints
 from gonio_analysis.curves.in_plane import Curve, Line, evenly, labels
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
@@ -106,12 +107,13 @@ def _lobe(d: DatasetSummary, rows: Ints, most: int) -> Drawing:
     assert d.best is not None
     best, data, theta = d.models[d.best].fit, d.data, _theta(d, rows)
     nm = NO_WAVELENGTH_NM if np.isnan(data.wavelengths[0]) else data.wavelengths[0]
+    state = str(data.states[0]) if data.states.size else UNPOLARISED
 
     def brdf(theta_r: Any, dphi: Any) -> Any:
         still = np.full(theta_r.shape, theta)
         at = Directions(still, 0 * still, theta_r, geometry.wrap(dphi))
         # the lobe without its spike, which would leave nothing else to see
-        return seen(best.model, at, wavelength_nm=nm, cones=(0.0, 0.0))
+        return seen(best.model, at, wavelength_nm=nm, cones=(0.0, 0.0), state=state, polarisers=data.polarisers)
 
     at = data.directions[rows]
     mesh, values = maps.lobe_mesh(brdf), data.brdf[rows]

@@ -177,3 +177,15 @@ def test_the_page_s_plot_has_a_curve_a_state_with_its_own_theory() -> None:
         # lines have a point every degree or so, at which a lobe changes by a tenth
         ratio = np.array(theory["brdf"])[near] / np.array(values["brdf"])
         np.testing.assert_allclose(ratio[smooth & (np.array(values["brdf"]) > 1e-3)], 1.0, atol=0.2)
+
+
+def test_drawn_curves_are_seen_through_the_table_s_polarisers() -> None:
+    """In the plane facets turn no s into p: a crossed analyser of extinction e shows e/(1 + e) of what "ss" does."""
+    model, angle = HeTorrance(0.15, 2.0, 1.5), np.radians([10.0, 40.0])
+    shown = {}
+    for word, receiver in (("ss", {}), ("sp", {"extinction": 0.01})):
+        table = polarised(model, word)
+        table.attrs["polarisers"] = {"receiver": receiver}
+        data = observations(table, "lacquer", polarised=True)
+        shown[word] = curves(data)[0].theory(model, angle, data)
+    np.testing.assert_allclose(shown["sp"], shown["ss"] * 0.01 / 1.01, rtol=1e-9)  # rounding, beside 1
