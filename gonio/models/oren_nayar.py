@@ -10,6 +10,7 @@ from gonio.errors import ArgumentError
 from gonio.models import hemispherical
 from gonio.models._compile import device, of_columns
 from gonio.models._groove_integral import gaussian_constants, gaussian_grooves, isotropic_grooves, parallel_grooves
+from gonio.models._groove_slopes import mean_slope_constants, mean_slope_grooves
 from gonio.models._math import atan_over_near
 from gonio.models.engine import SPLIT, Constants, Kernel
 from gonio.models.model import Model
@@ -134,7 +135,8 @@ _KERNELS: dict[str, Kernel] = {"functional": functional, "qualitative": qualitat
 class OrenNayar(Model):
     """Lambertian facets in V-grooves, with shadowing, masking and light that goes twice.
 
-    "exact": the integral over facets (eqs. 4 to 13) with two bounces, its relative error at most 1e-8. "functional":
+    "exact": the integral over facets (eqs. 4 to 13) with two bounces, its relative error at most 1e-8, also with
+    `mean_slope_deg` (sec. 3.3: P = c exp(-(theta_a - mu)^2/(2 sigma^2)) on 0 to 90 degrees). "functional":
     the paper's fit to it (eqs. 14 to 16). "qualitative": the fit without its minor terms (eq. 17, without
     interreflection). "single-slope": facets of one slope, in every direction (eq. 12) or, with `groove_azimuth_deg`,
     in parallel grooves (sec. 3.1). All are reciprocal and give Lambert's law for sigma = 0.
@@ -168,6 +170,15 @@ class OrenNayar(Model):
         "Azimuth of the facets' normals, across the grooves (the paper's phi_a); None for grooves in every direction.",
         "deg",
     )
+    mean_slope_deg: float = parameter(
+        0.0,
+        "[0, 89.9999]",
+        'Mean of the facets\' angles, about which sigma_deg spreads them: "exact" only.',
+        "deg",
+        scale="linear",
+        bounds=(0.0, 60.0),
+        geometry=True,
+    )
     interreflections: bool = parameter(True, flag, "Whether light that goes twice counts.")
     name: ClassVar[str] = "oren-nayar"
     rank: ClassVar[int] = 2
@@ -176,13 +187,16 @@ class OrenNayar(Model):
 
     @classmethod
     def declaration(cls, ior: Ior = None, slopes: int = 1) -> Declaration:
+        """See `Model.declaration`; `--free mean_slope_deg --fix form=exact` fits facets whose angles have a mean."""
+        flat = {"mean_slope_deg": 0.0}
         return replace(
             plain(cls.name, cls.fitted),
+            free=("albedo", "sigma_deg"),
             starts=lambda levels: [
-                {"albedo": cls.fitted["albedo"].inside(scale * levels.median), "sigma_deg": sigma}
+                {"albedo": cls.fitted["albedo"].inside(scale * levels.median), "sigma_deg": sigma, **flat}
                 for scale, sigma in product((0.5, 1.0, 1.3), (5.0, 25.0, 45.0))
             ],
-            base_starts=lambda albedo: [{"albedo": albedo, "sigma_deg": 20.0}],
+            base_starts=lambda albedo: [{"albedo": albedo, "sigma_deg": 20.0, **flat}],
         )
 
     def __post_init__(self, *_: Any) -> None:
@@ -190,6 +204,8 @@ class OrenNayar(Model):
         for key in ("slope_deg", "groove_azimuth_deg"):
             if getattr(self, key) is not None and self.form != "single-slope":
                 raise ArgumentError(f'{key} belongs to form="single-slope", not to "{self.form}"')
+        if self.mean_slope_deg > 0.0 and self.form != "exact":
+            raise ArgumentError(f'mean_slope_deg belongs to form="exact", not to "{self.form}"')
         if self.form == "single-slope" and self.slope_deg is None:
             raise ArgumentError('form="single-slope" needs slope_deg')
 
@@ -232,8 +248,11 @@ class OrenNayar(Model):
             )
         sigma = math.radians(self.sigma_deg)
         if self.form == "exact":
-            if sigma < 1e-9:  # flat to the last digit
-                return isotropic_grooves, (once, twice, 0.0, 1.0)
+            mean = math.radians(self.mean_slope_deg)
+            if sigma < 1e-9:  # one slope to the last digit
+                return isotropic_grooves, (once, twice, math.tan(mean), math.cos(mean))
+            if mean > 0.0:
+                return mean_slope_grooves, (once, twice, *mean_slope_constants(sigma, mean))
             return gaussian_grooves, (once, twice, *gaussian_constants(sigma))
         return _KERNELS[self.form], functional_constants(self.albedo, sigma, float(self.interreflections))
 

@@ -200,28 +200,28 @@ def L_isotropic(
 # --- 3.3 Model for Gaussian slope-area distribution -----------------------------------------------------------------
 
 
-def P(theta_a: Numbers, sigma: float, nodes: int = 200) -> Numbers:
-    """Oren1994 sec. 3.3: P = c exp(-theta_a^2/(2 sigma^2)), with c so that the integral of P sin(theta_a) is 1.
+def P(theta_a: Numbers, sigma: float, mu: float = 0, nodes: int = 200) -> Numbers:
+    """Oren1994 sec. 3.3: P = c exp(-(theta_a - mu)^2/(2 sigma^2)), with c so that the integral of P sin(theta_a) is 1.
 
-    Compiled: gonio.models._groove_integral.gaussian_grooves
+    Compiled: gonio.models._groove_integral.gaussian_grooves, gonio.models._groove_slopes.mean_slope_grooves
     """
     theta, w = _slopes(nodes)
-    c = 1 / np.sum(np.exp(-(theta**2) / (2 * sigma**2)) * np.sin(theta) * w)
-    return c * np.exp(-(theta_a**2) / (2 * sigma**2))
+    c = 1 / np.sum(np.exp(-((theta - mu) ** 2) / (2 * sigma**2)) * np.sin(theta) * w)
+    return c * np.exp(-((theta_a - mu) ** 2) / (2 * sigma**2))
 
 
 def L_gaussian(
-    s: Vectors, v: Vectors, sigma: float, rho: float, interreflections: bool = True, nodes: int = 200
+    s: Vectors, v: Vectors, sigma: float, rho: float, interreflections: bool = True, nodes: int = 200, mu: float = 0
 ) -> Numbers:
     """Oren1994 eq. 13: the exact model, the integral of P L_rp(theta_a) sin(theta_a), by Gauss's rule over eq. 12.
 
     Good to some 1e-4 with 200 nodes for sigma above 5 degrees: L_rp has kinks, and a narrow P falls between nodes.
 
-    Compiled: gonio.models._groove_integral.gaussian_grooves
+    Compiled: gonio.models._groove_integral.gaussian_grooves, gonio.models._groove_slopes.mean_slope_grooves
     """
     theta_a, w = _slopes(nodes)
     around = L_isotropic(s, v, theta_a, rho, interreflections)
-    return np.sum(P(theta_a, sigma, nodes) * around * np.sin(theta_a) * w)
+    return np.sum(P(theta_a, sigma, mu, nodes) * around * np.sin(theta_a) * w)
 
 
 # --- 3.4 Functional approximation -----------------------------------------------------------------------------------

@@ -41,6 +41,7 @@ cooks = st.builds(
 closed_orens = st.builds(OrenNayar, shares, st.floats(0.0, 40.0), st.sampled_from(["functional", "qualitative"]))
 slow_orens = st.one_of(
     st.builds(OrenNayar, shares, st.floats(0.0, 60.0), st.just("exact")),
+    st.builds(OrenNayar, shares, st.floats(0.0, 60.0), st.just("exact"), mean_slope_deg=st.floats(0.0, 85.0)),
     st.builds(OrenNayar, shares, form=st.just("single-slope"), slope_deg=st.floats(0.0, 85.0)),
     st.builds(
         OrenNayar,

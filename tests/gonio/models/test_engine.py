@@ -279,6 +279,7 @@ def test_wavelengths_broadcast() -> None:
         ("oren-nayar", {"sigma_deg": -1}, "sigma_deg"),
         ("oren-nayar", {"form": "single-slope"}, "slope_deg"),
         ("oren-nayar", {"slope_deg": 20}, "slope_deg"),
+        ("oren-nayar", {"mean_slope_deg": 20}, 'mean_slope_deg belongs to form="exact", not to "functional"'),
         ("oren-nayar", {"form": "approximate"}, "form"),
         ("anisotropic", {"alpha_along": 0.0}, "alpha_along"),
         ("anisotropic", {"alpha_across": 11.0}, "alpha_across"),

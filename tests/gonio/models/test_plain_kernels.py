@@ -28,6 +28,7 @@ from gonio.models import (
     geometry,
 )
 from gonio.models import _groove_integral as groove_kernels
+from gonio.models import _groove_slopes as slope_kernels
 from gonio.models import _htsg_kernels as htsg_kernels
 from gonio.models import abg as abg_kernels
 from gonio.models import blinn as blinn_kernels
@@ -36,7 +37,7 @@ from gonio.models import ggx as ggx_kernels
 from gonio.models.plain import anisotropic, blinn, cook_torrance, he_torrance, oren_nayar, retroreflecting
 from gonio.models.plain import fresnel as plain_fresnel
 from gonio.models.plain.vectors import direction, dot
-from tests.gonio.models import test_closed_reference, test_htsg_reference, test_newer_models
+from tests.gonio.models import test_closed_reference, test_htsg_reference, test_mean_slope, test_newer_models
 from tests.gonio.models.agreement import EPS, PI, Angles, agree, facet_loss, lobe_loss, pairs, vectors
 
 METAL, GLASS = 0.77 + 6.08j, 1.5
@@ -235,6 +236,7 @@ ELSEWHERE: dict[Any, Callable[..., None]] = {
     **dict.fromkeys(blinn_kernels._HIGHLIGHTS.values(), test_closed_reference.test_blinn),
     blinn_kernels.phong_highlight: test_phong,
     groove_kernels.gaussian_grooves: test_closed_reference.test_oren_nayar_exact,
+    slope_kernels.mean_slope_grooves: test_mean_slope.test_against_the_paper_s_equations,
     groove_kernels.isotropic_grooves: test_closed_reference.test_oren_nayar_single_slope,
     htsg_kernels.spike_reflectivity: test_htsg_reference.test_unpolarised,
     abg_kernels.abg: test_newer_models.test_public_digits,
