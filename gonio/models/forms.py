@@ -86,13 +86,15 @@ def _lambert(seen: ModelDirections) -> Form:
 def _oren_nayar(form: str, seen: ModelDirections) -> Form:
     def change(model: Model) -> Model:
         assert isinstance(model, OrenNayar)
-        if model.sigma_deg == 0.0 or model.albedo == 0.0:
-            return replace(model, form=form)
+        plain = replace(model, form=form, mean_slope_deg=0.0)  # the cheaper forms have no mean
+        spread = math.hypot(model.sigma_deg, model.mean_slope_deg)
+        if spread == 0.0 or model.albedo == 0.0:
+            return plain
 
         def cheap(albedo: float, sigma_deg: float) -> Model:
-            return replace(model, form=form, albedo=albedo, sigma_deg=sigma_deg)
+            return replace(plain, albedo=albedo, sigma_deg=sigma_deg)
 
-        return seen.fitted(cheap, [model.albedo, model.sigma_deg], [1.0, STEEPEST_DEG], model)
+        return seen.fitted(cheap, [model.albedo, spread], [1.0, STEEPEST_DEG], model)
 
     return Form(form, change)
 

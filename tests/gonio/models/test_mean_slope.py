@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from gonio.models import OrenNayar
+from gonio.models.forms import ModelDirections, forms
 from gonio.models.plain import oren_nayar
-from gonio.models.plain.vectors import direction
+from gonio.models.plain.vectors import direction, dot
 from gonio.typing import Floats
 
 PI = math.pi
@@ -41,7 +42,7 @@ def twice(s: Floats, v: Floats, a: Floats, opposite: Floats, rho: float) -> Floa
     def d(x: Floats | int, y: Floats | int) -> Floats:
         return np.asarray(np.sqrt((x - y) ** 2 + 4 * x * y * c * c))
 
-    seen, lit = (np.maximum(oren_nayar.dot(*pair), 1e-300) for pair in ((v, a), (s, opposite)))
+    seen, lit = (np.maximum(dot(*pair), 1e-300) for pair in ((v, a), (s, opposite)))
     m_v, m_s = np.minimum(1, 2 * v[2] * c / seen), np.minimum(1, 2 * s[2] * c / lit)
     both = PI / 2 * (d(1, 1 - m_v) + d(1, 1 - m_s) - d(1 - m_s, 1 - m_v) - d(1, 1))
     return np.asarray((rho / PI) ** 2 * seen * lit / (c * v[2]) * both)
@@ -113,3 +114,13 @@ def test_a_narrow_distribution_is_one_slope() -> None:
 def test_a_fit_leaves_the_mean_alone() -> None:
     assert OrenNayar.declaration().free == ("albedo", "sigma_deg")
     assert not OrenNayar.declaration().fixed
+
+
+def test_cheaper_forms_have_no_mean_and_more_spread() -> None:
+    seen = ModelDirections(*(direction(np.linspace(0.0, 1.2, 30), phi) for phi in (0.0, 2.0)))
+    model = OrenNayar(0.8, 0.0, "exact", mean_slope_deg=25.0)
+    _, qualitative, functional = (form.change(model) for form in forms(model, seen))
+    for cheap in (qualitative, functional):
+        assert isinstance(cheap, OrenNayar)
+        assert cheap.mean_slope_deg == 0.0
+        assert cheap.sigma_deg > 10.0
