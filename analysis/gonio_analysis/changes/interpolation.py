@@ -284,9 +284,9 @@ def _across(goal: Places, known: Places, holes: Places, rows: Ints) -> _Across |
     edges = np.linalg.norm(known.points[corner] - known.points[np.roll(corner, 1, axis=1)], axis=2).max(axis=1)
     closed = edges > FARTHEST
     turn = _turns(flat[corner])
-    inside, _ = _located(mesh, turn, holes.points[:, :2])
+    found, weights = _located(mesh, turn, np.concatenate([goal.points[rows, :2], holes.points[:, :2]]))
+    inside, found, weights = found[rows.size :], found[: rows.size], weights[: rows.size]
     closed[inside[inside >= 0]] = True
-    found, weights = _located(mesh, turn, goal.points[rows, :2])
     good = (found >= 0) & ~closed[found]
     rows, found, weights = rows[good], found[good], weights[good]
     nodes = corner[found]

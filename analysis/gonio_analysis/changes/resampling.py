@@ -196,14 +196,13 @@ def slope_in_plane(shape: Observations) -> Floats:
     for wave in shape.wavelengths:
         here = rows.at(wave)
         alone = replace(shape, covariance=None, u_angles=np.zeros(0), unused=Unused()).take(here)
-        ends = []
-        for by in (TURN, -TURN):
-            directions, above = turned_in_plane(alone.directions, by)
-            kept = np.flatnonzero(above)
-            carried = carry(replace(alone, directions=directions).take(kept), alone, known=known)
-            values = np.full(here.size, np.nan)
-            values[kept[carried.rows]] = carried.value
-            ends.append(values)
+        turned, above = zip(*(turned_in_plane(alone.directions, by) for by in (TURN, -TURN)), strict=True)
+        kept = np.flatnonzero(np.concatenate(above))
+        both_ways = Directions(*np.concatenate([one.angles for one in turned], axis=1)[:, kept])
+        carried = carry(replace(alone.take(kept % here.size), directions=both_ways), alone, known=known)
+        values = np.full(2 * here.size, np.nan)
+        values[kept[carried.rows]] = carried.value
+        ends = values.reshape(2, here.size)
         ahead, behind = (ends[0] - alone.brdf) / TURN, (alone.brdf - ends[1]) / TURN
         both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, 0.5 * (ahead + behind)))
         out[here] = np.nan_to_num(both)
