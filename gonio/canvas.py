@@ -49,14 +49,15 @@ def settle(figure: Figure) -> None:
     from matplotlib.text import Text
     from matplotlib.ticker import FuncFormatter, LogFormatter, LogitFormatter, ScalarFormatter
 
-    for text in figure.findobj(Text):
+    every = figure.findobj()
+    for text in (one for one in every if isinstance(one, Text)):
         words = text.get_text()
         text.set_parse_math(False)
         text.set_text(visible(words))
         others = fallbacks(words)
         if others:
             text.set_fontfamily([FONT, *others])
-    for axis in figure.findobj(Axis):
+    for axis in (one for one in every if isinstance(one, Axis)):
         for formatter, ticks in (
             (axis.get_major_formatter(), axis.get_major_ticks),
             (axis.get_minor_formatter(), axis.get_minor_ticks),

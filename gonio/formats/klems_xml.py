@@ -19,10 +19,10 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -254,7 +254,7 @@ def write(frame: DataFrame, path: Path) -> None:
             lines.append(", ".join(repr(values[given[key]]) for key in keys))
         blocks.append(
             _XML_BLOCK.format(
-                band=escape(band),
+                band=escape(band, quote=False),
                 kind=str(kind).capitalize(),
                 side=side.capitalize(),
                 letter="T" if kind == "transmission" else "R",
@@ -266,7 +266,7 @@ def write(frame: DataFrame, path: Path) -> None:
         for low, high, count in _FULL
     )
     said = "".join(f"<!-- {remark.replace('--', '- -')} -->\n" for remark in frame.attrs.get("remarks", ()))
-    text = _XML.format(product=escape(product), remarks=said, rings=rings, blocks="".join(blocks))
+    text = _XML.format(product=escape(product, quote=False), remarks=said, rings=rings, blocks="".join(blocks))
     write_bytes(path, text.encode())
 
 

@@ -21,9 +21,9 @@ import itertools
 import math
 import re
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -254,11 +254,12 @@ def write_model(model: Model, name: str, path: Path) -> None:
 
 
 def _block(kind: str, lit: str, band: str, text: str) -> str:
-    return _BLOCK.format(band=escape(band), direction=f"{kind} {lit}".title(), letter=kind[0].upper(), data=text)
+    name, direction = escape(band, quote=False), f"{kind} {lit}".title()
+    return _BLOCK.format(band=name, direction=direction, letter=kind[0].upper(), data=text)
 
 
 def _write(rank: int, product: str, blocks: list[str], path: Path) -> None:
-    write_bytes(path, _XML.format(product=escape(product), rank=rank, blocks="".join(blocks)).encode())
+    write_bytes(path, _XML.format(product=escape(product, quote=False), rank=rank, blocks="".join(blocks)).encode())
 
 
 _XML = """<?xml version="1.0" encoding="UTF-8"?>

@@ -378,8 +378,6 @@ def _saying_nothing(
 
     They would count all the same: among the degrees of freedom, in the scale of logarithms, as blocks of directions.
     """
-    from scipy.spatial import cKDTree
-
     rows, out = np.flatnonzero(used & ~seen), [np.zeros(0, np.intp)]
 
     def places(which: npt.NDArray[np.intp]) -> Floats:
@@ -392,6 +390,8 @@ def _saying_nothing(
         same = np.isnan(wavelength_nm) if np.isnan(wave) else wavelength_nm == wave
         here, others = rows[same[rows]], np.flatnonzero(used & seen & same)
         if others.size >= AROUND:
+            from scipy.spatial import cKDTree  # most tables have no such rows
+
             near = others[cKDTree(places(others)).query(places(here), AROUND)[1]]
             u = known(here.astype(np.int32)).total
             out.append(here[u > BEYOND * np.median(size[near], axis=1)])
