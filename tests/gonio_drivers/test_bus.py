@@ -198,3 +198,31 @@ def test_a_line_that_takes_no_more_is_told(monkeypatch: pytest.MonkeyPatch) -> N
         line.write(bytes(1_000_000))
     for descriptor in (slave, master):
         os.close(descriptor)
+
+
+@pytest.mark.parametrize("clogged", [False, True])
+def test_a_program_that_stood_still_after_it_wrote_has_not_lost_its_port(
+    clogged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pyserial counts the standstill, and says that the write took too long; of a line that takes no more it is so."""
+    monkeypatch.setattr(ports, "CLOGGED_S", 0.05)
+    master, slave = pty.openpty()
+    port = sdk.ExclusivePort(os.ttyname(slave), "port")
+    port.setupPort(BAUD)
+    if clogged:
+        with contextlib.suppress(serial.SerialTimeoutException):
+            port.ser.write(bytes(1_000_000))
+    write = port.ser.write
+
+    def late(data: bytes) -> int:
+        if not clogged:
+            write(data)
+        raise serial.SerialTimeoutException("Write timeout")
+
+    monkeypatch.setattr(port.ser, "write", late)
+    with pytest.raises(serial.SerialTimeoutException) if clogged else contextlib.nullcontext():
+        assert port.writePort([1, 2, 3]) == 3
+        assert os.read(master, 8) == b"\x01\x02\x03"
+    port.closePort()
+    for descriptor in (slave, master):
+        os.close(descriptor)
