@@ -18,6 +18,7 @@ from gonio.errors import ConfigError
 from gonio.geometry import direction
 from gonio.platform import command_line
 from gonio_maps.fits import fits
+from gonio_maps.fits.tables import solved as solved
 
 if TYPE_CHECKING:
     from gonio.lab.acquisition.run import Run

@@ -124,6 +124,9 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
         found = each_table.make(where[0], out, asked, how, dask=dask, count=count)
     if found.before:
         console.note(f"{found.before} tables were done before")
+    if found.alone:
+        reasons = ", ".join(f"{why} ({many})" for why, many in Counter(found.alone).most_common())
+        console.note(f"{sum(found.alone.values())} were searched for one by one, not by the engine of maps: {reasons}")
     told = Counter(row.get("notes") or "" for row in found.rows)
     for text, many in told.most_common(NOTES):
         if text:

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gonio.errors import ArgumentError, ConfigError, DataError
-from gonio.models.parameters import Declaration, Values
+from gonio.models.parameters import Values
 from gonio.progress import Say, silent
 from gonio.typing import DataFrame, Floats
 from gonio_analysis.fitting.forward import apparent, averaging, by_model, known_wavelength, pointlike, rho_angles
@@ -119,10 +119,10 @@ def _minimised(
     done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
     if not (done and pointlike(data) and (goal.weights is None or not goal.weights.causes)):
         vector = refine(problem, data, goal, vector, say=say)[0]
-    return data, goal, *settle(problem, data, goal, _as_stated(problem, vector))
+    return data, goal, *settle(problem, data, goal, as_stated(problem, vector))
 
 
-def _as_stated(problem: Problem, vector: Floats) -> Floats:
+def as_stated(problem: Problem, vector: Floats) -> Floats:
     """The same model by the values that state it, where nothing holds one of them."""
     values = problem.values(vector)
     stated = problem.family.stated(values)
@@ -175,14 +175,14 @@ def fit(
         known = [one.problem.values(one.vector) for one in alone]
         start = [{n: values[n.partition("@")[0]] for n in problem.free} for values in known]
     else:
-        data, wavelength, notes = _one_wavelength(data, asked.wavelength_nm, problem.family, name)
+        data, wavelength, notes = at_one_wavelength(data, problem, name)
     _require_enough(data, problem.free, wavelength, name)
     notes += problem.notes
     if asked.energy:
         problem, start, said = _bounded(problem, fit(data, replace(asked, energy=False), name=name, say=say), start)
         notes += said
     data, goal, vector, jacobian = _minimised(problem, data, start, say)
-    result = _result(problem, data, goal, vector, jacobian, wavelength)
+    result = concluded(problem, data, goal, vector, jacobian, wavelength)
     if asked.metric is None and asked.loss == "linear":
         if result.rejected:
             result = _nearest(result, say)
@@ -214,7 +214,7 @@ def elsewhere(first: FitResult, by_wavelength: Mapping[float, Observations], nam
     return out
 
 
-def _result(
+def concluded(
     problem: Problem, data: Observations, goal: Objective, vector: Floats, jacobian: Floats, wavelength_nm: float
 ) -> FitResult:
     """What a solution comes to; its standard errors are those of a true model."""
@@ -294,7 +294,7 @@ def _nearest(rejected: FitResult, say: Say) -> FitResult:
             break
         vector = refine(problem, data, goal, vector, rules=rules, say=say)[0]
     vector, jacobian = settle(problem, data, goal, vector, rules)
-    result = _result(problem, data, goal, vector, jacobian, rejected.wavelength_nm)
+    result = concluded(problem, data, goal, vector, jacobian, rejected.wavelength_nm)
     return known_by_blocks(replace(result, chi_square=rejected.chi_square))
 
 
@@ -318,7 +318,7 @@ def _weighted_from(first: FitResult, vector: Floats, say: Say) -> FitResult:
             before, (end, jacobian) = end, settle(problem, data, goal, end)
             if np.array_equal(before, end):
                 break
-        found.append(_result(problem, data, goal, end, jacobian, first.wavelength_nm))
+        found.append(concluded(problem, data, goal, end, jacobian, first.wavelength_nm))
     return min(found, key=lambda one: one.goal.total(one.whitened))
 
 
@@ -438,9 +438,15 @@ def _together(
     return together(problem, waves, each), data, [f"{len(waves)} wavelengths are fitted together{apart}."]
 
 
-def _one_wavelength(
-    data: Observations, wavelength_nm: float | None, family: Declaration, name: str
-) -> tuple[Observations, float, list[str]]:
+def at_one_wavelength(data: Observations, problem: Problem, name: str) -> tuple[Observations, float, list[str]]:
+    """The values that are fitted, their wavelength [nm] (NaN: a broad band), and what is said of the choice.
+
+    Raises
+    ------
+    ConfigError
+        A broad band, and a model that needs a wavelength.
+    """
+    wavelength_nm, family = problem.asked.wavelength_nm, problem.family
     if wavelength_nm is not None and not (math.isfinite(wavelength_nm) and wavelength_nm > 0):
         raise ArgumentError(f"wavelength_nm = {wavelength_nm}: a wavelength is above 0 nm")
     several = [w for w in data.wavelengths if not math.isnan(w)]

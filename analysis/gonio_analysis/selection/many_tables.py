@@ -4,24 +4,29 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import gonio
-from gonio import measurement, platform
+from gonio import measurement, platform, plugins
 from gonio.disk import require_name, write_whole
 from gonio.errors import ConfigError, GonioError, os_error_as
 from gonio.formats import own_pairs
 from gonio.measurement import Reading, meta_path
+from gonio_analysis.fitting.by_engine import fit_by
 from gonio_analysis.fitting.fit import FitResult
-from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.spectrum import fit_table
 from gonio_analysis.selection import parallel
 
 BESIDE = (".meta.json", ".columns.toml", ".ior.toml")
 """Endings of files that belong to a table."""
+MANY = 100
+"""Tables from which on the engine of maps fits them: what it may have to compile takes as long as so many fits."""
+NO_ENGINE = "gonio_maps is not installed"
 Row = dict[str, str]
 Count = Callable[[int, int], None]
 
@@ -33,6 +38,8 @@ class TablesOutcome:
     rows: list[Row]
     before: int
     """Tables that had been done before."""
+    alone: Mapping[str, int]
+    """Why samples of this try were searched for one by one, and how many; empty of few tables."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,7 @@ class _Job:
     asked: FitRequest
     how: Reading
     settings: str
+    by_engine: bool
 
 
 def listed(where: str) -> list[str]:
@@ -105,22 +113,24 @@ def make(
     for row in known:
         if row["settings"] == settings:
             done.setdefault((row["table"], row["sha256"]), []).append(row)
-    jobs = [_Job(one, _digest(one), asked, how, settings) for one in tables]
+    jobs = [_Job(one, _digest(one), asked, how, settings, len(tables) >= MANY) for one in tables]
     todo = [job for job in jobs if (job.table, job.digest) not in done]
+    alone = Counter[str]()
     with os_error_as(ConfigError, f"{out}: cannot be written"):
         write_whole(
             part, _csv(names, [row for job in jobs for row in done.get((job.table, job.digest), ())], head=True)
         )
         with open(part, "ab", buffering=0) as file:
-            for many, (k, rows) in enumerate(parallel.each(_rows, todo, dask=dask), 1):
+            for many, (k, (rows, reasons)) in enumerate(parallel.each(_rows, todo, dask=dask), 1):
                 file.write(_csv(names, rows))
                 done[todo[k].table, todo[k].digest] = rows
+                alone.update(reasons)
                 count(many, len(todo))
         every = [row for job in jobs for row in done[job.table, job.digest]]
         write_whole(out, _csv(names, every, head=True))
         platform.sync_folder(out.parent)  # the table has its name on the disk before the rows of this try go
         part.unlink()
-    return TablesOutcome(every, len(jobs) - len(todo))
+    return TablesOutcome(every, len(jobs) - len(todo), alone)
 
 
 def _columns(free: Iterable[str]) -> list[str]:
@@ -191,22 +201,41 @@ def _csv(names: list[str], rows: list[Row], *, head: bool = False) -> bytes:
     return stream.getvalue().encode()
 
 
-def _rows(job: _Job) -> list[Row]:
-    """The rows of one table: one a sample that it holds."""
+def _rows(job: _Job) -> tuple[list[Row], list[str]]:
+    """The rows of one table, one a sample that it holds; and why samples are no work of the engine."""
     row = {"table": job.table, "sha256": job.digest, "settings": job.settings}
     try:
         samples = measurement.tables(job.table, job.how, apart=True)
     except Exception as error:
-        return [row | {"flag": _reason(error)}]
-    out = []
+        return [row | {"flag": _reason(error)}], []
+    out, reasons = [], list[str]()
     for sample, frame in samples.items():
         try:
             data = observations(frame, job.table, job.asked.u_rel, polarised=True)
             row["notes"] = " ".join(measurement.of_reader(frame))
-            out.append(row | {"sample": sample} | _fitted(fit_table(data, job.asked, name=job.table)[0]))
+            result, why = _fit(data, job)
+            out.append(row | {"sample": sample} | _fitted(result))
+            reasons += [why] if why else []
         except Exception as error:  # whatever is wrong with one table, the others go on
             out.append(row | {"sample": sample, "flag": _reason(error)})
-    return out
+    return out, reasons
+
+
+def _fit(data: Observations, job: _Job) -> tuple[FitResult, str]:
+    """The fit of a sample, and why it is no work of the engine where that is asked."""
+    why = ""
+    if job.by_engine:
+        found = _by_engine(data, job)
+        if isinstance(found, FitResult):
+            return found, ""
+        why = found
+    return fit_table(data, job.asked, name=job.table)[0], why
+
+
+def _by_engine(data: Observations, job: _Job) -> FitResult | str:
+    if plugins.left_out("gonio.rooms", "maps"):
+        return NO_ENGINE
+    return fit_by(plugins.room("maps").solved, data, job.asked, name=job.table)
 
 
 def _reason(error: Exception) -> str:

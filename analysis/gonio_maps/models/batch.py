@@ -201,10 +201,21 @@ def _bounds(
     return lower, upper
 
 
-def _starts(posed: Posed) -> tuple[Floats, int, int, Floats, npt.NDArray[np.int64]]:
+Starts = tuple[Floats, int, int, Floats, npt.NDArray[np.int64]]
+
+
+def _starts(posed: Posed) -> Starts:
     """Rows of parameters to start from, the width fastest; how many widths there are; which parameter the width is, or
     -1 where it is known or none; and the scales and the pair of parameters for `_batch_scaled`."""
-    model, known, own = posed.model, posed.known, posed.own
+    return _grid(posed.model, tuple(posed.known.items()), posed.own, posed.free)
+
+
+@functools.lru_cache(maxsize=16)
+def _grid(
+    model: Batched, given: tuple[tuple[str, float], ...], own: tuple[float, ...], free: tuple[str, ...]
+) -> Starts:
+    """`_starts`, of what is known."""
+    known = dict(given)
     axes = [(one, (known[one],) if one in known else values) for one, values in model.grid]
     rows = []
     for chosen in product(*(values for _, values in axes)):
@@ -214,8 +225,8 @@ def _starts(posed: Posed) -> tuple[Floats, int, int, Floats, npt.NDArray[np.int6
         rows.append([start[one] for one in model.names] + list(own[:-1]) + [ROUGH_TIER] * bool(own))
     name, widths = axes[-1]
     pair = np.array([model.names.index(one) for one in model.scaled], np.int64)
-    scales = np.array(SCALES) / own[0] if pair.size and set(model.scaled) <= set(posed.free) else np.empty(0)
-    return np.array(rows), len(widths), model.names.index(name) if name in posed.free else -1, scales, pair
+    scales = np.array(SCALES) / own[0] if pair.size and set(model.scaled) <= set(free) else np.empty(0)
+    return np.array(rows), len(widths), model.names.index(name) if name in free else -1, scales, pair
 
 
 @functools.lru_cache(maxsize=16)

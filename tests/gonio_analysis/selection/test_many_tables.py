@@ -8,8 +8,11 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from gonio_analysis.fitting.problem import FitRequest
 from gonio_analysis.selection import many_tables
@@ -90,7 +93,7 @@ def test_rows_that_are_done_are_not_done_again(tmp_path: Path, monkeypatch: pyte
     fitted: list[str] = []
     once = many_tables._rows
 
-    def noted(job: many_tables._Job) -> list[many_tables.Row]:
+    def noted(job: many_tables._Job) -> tuple[list[many_tables.Row], list[str]]:
         fitted.append(Path(job.table).name)
         return once(job)
 
@@ -132,6 +135,58 @@ def test_what_was_killed_goes_on_and_is_the_same_to_the_byte(tmp_path: Path) -> 
     assert made(folder, out).before == 2
     assert out.read_bytes() == whole.read_bytes()
     assert not part.exists()
+
+
+def both(path: Path, model: str, **options: Any) -> tuple[many_tables.Row, many_tables.Row, list[str]]:
+    """The row of a table by the engine and by a search, and why there is none by the engine."""
+    job = many_tables._Job(str(path), "", FitRequest(model, **options), Reading(), "", by_engine=True)
+    (quick,), why = many_tables._rows(job)
+    (plain,), none = many_tables._rows(replace(job, by_engine=False))
+    assert none == []
+    return quick, plain, why
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["cook-torrance", "ggx"])
+def test_rows_by_the_engine_of_maps_are_those_of_a_search(model: str, tmp_path: Path) -> None:
+    gloss = CookTorrance(s=0.4, d=0.6, m=0.3, diffuse_albedo=0.5, ior=1.5)
+    reference = 0.01 if model == "cook-torrance" else 0.0
+    measurement.write(measure(gloss, seed=5, reference=reference), tmp_path / "gloss.csv")
+    quick, plain, why = both(tmp_path / "gloss.csv", model)
+    assert why == []
+    assert quick["flag"] == plain["flag"] == ("" if model == "cook-torrance" else "rejected")
+    for name in ("diffuse_albedo", "ior"):
+        u = float(plain[f"u_{name}"])
+        # both end where a step is below 1e-4 u; the last step of both starts that near
+        assert float(quick[name]) == pytest.approx(float(plain[name]), abs=1e-3 * u)
+        assert float(quick[f"u_{name}"]) == pytest.approx(u, rel=1e-3)
+    for name in ("chi_square", "misfit"):
+        assert float(quick[name]) == pytest.approx(float(plain[name]), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_what_the_engine_of_maps_cannot_do_is_searched_for_and_said(tmp_path: Path) -> None:
+    white, gloss = Lambert(0.4), CookTorrance(s=0.4, d=0.6, m=0.3, diffuse_albedo=0.5, ior=1.5)
+    bare = measure(gloss).assign(u_brdf=np.nan, u_random=np.nan)
+    cases: list[tuple[Any, str, dict[str, Any], str]] = [
+        (measure(white), "lambert", {}, "a model or parameters that the engine of maps does not have"),
+        (measure(gloss, cone_sr=1e-3), "oren-nayar", {}, "cones"),
+        (bare, "oren-nayar", {}, "no stated uncertainties"),
+        (measure(gloss), "oren-nayar", {"loss": "huber"}, "another metric, loss, bound or prior"),
+        (measure(white, seed=2), "cook-torrance", {}, "a parameter at its bound"),
+        (measure(gloss, reference=0.01), "ggx", {}, "a rejected model of values with common causes"),
+    ]
+    for k, (frame, model, options, said) in enumerate(cases):
+        measurement.write(frame, tmp_path / f"{k}.csv")
+        quick, plain, why = both(tmp_path / f"{k}.csv", model, **options)
+        assert why == [said]
+        assert quick == plain
+    (tmp_path / "many").mkdir()
+    for k in range(many_tables.MANY):
+        measurement.write(measure(white).head(2), tmp_path / "many" / f"{k}.csv")
+    measurement.write(measure(white), tmp_path / "many" / "white.csv")
+    ended = gonio(tmp_path, "fit", "--each", "many", "--model", "lambert", "--out", "fits.csv", expect=0)
+    assert "1 were searched for one by one, not by the engine of maps: a model or parameters" in ended.stderr
 
 
 def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
