@@ -110,10 +110,12 @@ def batch_s(durations: Durations, poses: Sequence[Pose], seconds: Sequence[float
     visit_s = durations.frames_s(Step(0, "reference", pose=at_reference))
     every, total = description.reference.every or len(poses), 0.0
     for k, (pose, own_s) in enumerate(zip(poses, seconds, strict=True)):
-        total += durations.move_s(here, pose) + own_s
+        move_s = durations.move_s(here, pose)
+        total += move_s + own_s - durations.beside_s(move_s)
         here = pose
         if (k + 1) % every == 0 or k + 1 == len(poses):
-            total += durations.move_s(here, at_reference) + visit_s
+            move_s = durations.move_s(here, at_reference)
+            total += move_s + visit_s - durations.beside_s(move_s)
             here = at_reference
     return total
 
@@ -137,9 +139,10 @@ def spent_s(durations: Durations, run: Run) -> float:
     """
     total, here = durations.description.lamp.warm_up_s, Pose()
     for record in run.steps():
-        total += _frames_s(record, durations.description.camera.frame_overhead_s)
+        total += _frames_s(record, durations.description.camera.beside_s)
         if record.kind != "dark":
-            total += durations.move_s(here, record.goal)
+            move_s = durations.move_s(here, record.goal)
+            total += move_s - durations.beside_s(move_s)
             here = record.goal
     return total
 

@@ -332,7 +332,8 @@ class _GatedRig(_Watched):
     """A rig that waits at a gate before every step, and what is seen of whose arms and camera is noted there."""
 
     def __init__(self, rig: Rig, gate: _Gate) -> None:
-        arms, camera = _Watched(rig.arms, move=self._move), _Watched(rig.camera, capture=self._capture)
+        arms = _Watched(rig.arms, move=self._move)
+        camera = _Watched(rig.camera, capture=self._capture, expose=None)  # at a gate a frame would wait for the plan
         super().__init__(rig, arms=arms, camera=camera)
         self._gate = gate
 

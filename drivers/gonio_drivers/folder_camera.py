@@ -15,23 +15,25 @@ import stat
 import subprocess
 import time
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self, TypeVar
 
 import numpy as np
 import serial
 
 from gonio import platform
 from gonio.errors import ConfigError, DataError, DeviceError, PassingFault, os_error_as
-from gonio.lab.rig import Frame, clock
+from gonio.lab.rig import Arrived, Exposed, Frame, clock
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.dng import read_raw
 from gonio.lab.rig.regions import require_raw
 from gonio_drivers import log, ports, settings
 from gonio_drivers.patience import Patience
 
+T = TypeVar("T")
+Program = Literal["command", "fetch"]
 POLL_S = 0.01
 PORT_KEY = "devices.camera.trigger.port"
 RELEASE_S = 2.0
@@ -72,6 +74,8 @@ class FolderCamera:
         """Names of files with other suffixes that were there before."""
         self._known: deque[str] = deque(maxlen=REMEMBERED)
         self._taken: deque[Path] = deque()
+        self._fetching: subprocess.Popen[str] | None = None
+        """The program that brings the file of an exposure that is over."""
         self._owed = 0
         """Exposures that were triggered and whose files have not come."""
         self._given_up = 0
@@ -92,6 +96,10 @@ class FolderCamera:
         if self._release is not None:
             self._release.close()
             self._release = None
+        fetching, self._fetching = self._fetching, None
+        if fetching is not None:
+            fetching.kill()
+            fetching.communicate()
         self._forget(0)
 
     def capture(self, exposure_s: float) -> Frame:
@@ -104,19 +112,41 @@ class FolderCamera:
         DeviceError
             No usable file came, after several attempts.
         """
+
+        def whole() -> Frame:
+            self._trigger(exposure_s)
+            return self.frame(exposure_s)
+
+        return self._tried(exposure_s, whole)
+
+    def expose(self, exposure_s: float) -> Exposed:
+        """An exposure that is over; its file comes later, where program or release box say so (`fetch`, `done`).
+
+        Raises as `capture`. Its file is not waited for: one of no use is a `PassingFault`, at the first attempt.
+        """
+        if not (self._camera.trigger.fetch or self._camera.trigger.done):
+            return Arrived(self.capture(exposure_s))
+
+        def over() -> Exposed:
+            self._trigger(exposure_s)
+            return FileToCome(self, exposure_s)
+
+        return self._tried(exposure_s, over)
+
+    def _tried(self, exposure_s: float, take: Callable[[], T]) -> T:
+        """Do it, and once more where no usable file came of it."""
         self._description.require_exposure(exposure_s)
         for attempt in range(TRIES):
             self._await_stragglers(exposure_s)
             try:
-                self._trigger(exposure_s)
-                frame = self._frame(exposure_s)
+                taken = take()
             except UselessFile as failure:
                 log.warning("camera: %s; exposed again", failure)
                 last = failure
                 continue
             if attempt:
                 log.warning("camera: a good file at attempt %d", attempt + 1)
-            return frame
+            return taken
         raise PassingFault(f"camera: {last}; {TRIES} attempts failed", "camera")
 
     # ---- one exposure ----
@@ -127,20 +157,13 @@ class FolderCamera:
         if trigger.how == "serial":
             self._press(exposure_s)
         elif trigger.how == "command":
-            filled = [part.format(exposure_s=f"{exposure_s:.6g}", folder=self._folder) for part in trigger.command]
             try:
-                done = subprocess.run(
-                    filled, capture_output=True, text=True, timeout=exposure_s + self._camera.timeout_s, check=False
-                )
-            except FileNotFoundError:
-                raise ConfigError(f'devices.camera.trigger.command: there is no program "{filled[0]}"') from None
-            except subprocess.TimeoutExpired:
-                raise NoFile(f'the tethering program "{filled[0]}" did not end in time') from None
-            if done.returncode != 0:
+                self._ended("command", self._started("command", exposure_s), exposure_s + self._camera.timeout_s)
+            except FailedProgram:
                 self._owed -= 1
-                raise NoFile(
-                    f'the tethering program "{filled[0]}" ended with {done.returncode}: {done.stderr.strip()[-200:]}'
-                )
+                raise
+            if trigger.fetch:
+                self._fetching = self._started("fetch", exposure_s)
         else:  # exposes by itself: the next file may have begun before this call
             self._take(exposure_s + self._camera.timeout_s)
 
@@ -152,12 +175,60 @@ class FolderCamera:
             self._release.reset_input_buffer()
             self._release.write(f"EXPOSE {exposure_s:.9g}\n".encode())
             line = self._release.readline()
+            if self._camera.trigger.done and line == b"OK\n":
+                self._await_shutter(self._release, exposure_s)
         reply = line.decode("ascii", "replace").strip() if line.endswith(b"\n") else ""  # half an OK may be one
         if reply != "OK":
             self._owed -= 1 if reply else 0
             raise NoFile(f'the release on {port} answers "{reply}" instead of OK')
 
-    def _frame(self, exposure_s: float) -> Frame:
+    def _await_shutter(self, release: serial.Serial, exposure_s: float) -> None:
+        """Wait until the release box says that it has closed the shutter."""
+        release.timeout = exposure_s + RELEASE_S
+        try:
+            line = release.readline()
+        finally:
+            release.timeout = RELEASE_S
+        if line != b"DONE\n":
+            said = line.decode("ascii", "replace").strip()
+            raise NoFile(
+                f'the release on {self._camera.trigger.port} says "{said}" instead of DONE after {exposure_s:g} s '
+                "(devices.camera.trigger.done)"
+            )
+
+    def _fetched(self) -> None:
+        """Wait for the program that brings the file."""
+        fetching, self._fetching = self._fetching, None
+        if fetching is not None:
+            self._ended("fetch", fetching, self._camera.timeout_s)
+
+    def _started(self, key: Program, exposure_s: float) -> subprocess.Popen[str]:
+        parts: tuple[str, ...] = getattr(self._camera.trigger, key)
+        filled = [part.format(exposure_s=f"{exposure_s:.6g}", folder=self._folder) for part in parts]
+        try:
+            return subprocess.Popen(filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        except FileNotFoundError:
+            raise ConfigError(f'devices.camera.trigger.{key}: there is no program "{filled[0]}"') from None
+
+    def _ended(self, key: Program, program: subprocess.Popen[str], timeout_s: float) -> None:
+        """Wait for a program; raises `FailedProgram`, or `NoFile` where it does not end in time."""
+        name = getattr(self._camera.trigger, key)[0]
+        try:
+            _, told = program.communicate(timeout=timeout_s)
+        except BaseException as error:
+            program.kill()
+            program.communicate()
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise NoFile(f'the tethering program "{name}" did not end in time') from None
+            raise
+        if program.returncode != 0:
+            raise FailedProgram(
+                f'the tethering program "{name}" ended with {program.returncode}: {told.strip()[-200:]}'
+            )
+
+    def frame(self, exposure_s: float) -> Frame:
+        """The frame of the exposure that is over; raises `UselessFile`."""
+        self._fetched()
         path, frame = self._take(exposure_s + self._camera.timeout_s)
         if isinstance(frame, DataError):
             raise UselessFile(str(frame))
@@ -193,6 +264,10 @@ class FolderCamera:
 
     def _await_stragglers(self, exposure_s: float) -> None:
         """Files of earlier exposures that may still come must not be taken for the next one."""
+        if self._owed and self._camera.trigger.fetch:  # its program has failed, or nobody has waited for it
+            self._fetching = self._fetching or self._started("fetch", exposure_s)
+            with contextlib.suppress(NoFile):
+                self._fetched()
         looked, longest_s = Patience(), exposure_s + self._camera.timeout_s
         while self._owed and (left := longest_s - looked()) > 0:
             try:
@@ -305,6 +380,29 @@ class UselessFile(DeviceError):
 
 class NoFile(UselessFile):
     """No file came."""
+
+
+class FailedProgram(NoFile):
+    """A tethering program says that it has failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileToCome:
+    """An exposure that is over, and whose file comes later."""
+
+    camera: FolderCamera
+    exposure_s: float
+
+    def done(self) -> bool:
+        """Nobody looks at the folder before the file is asked for."""
+        return False
+
+    def result(self) -> Frame:
+        """The frame of the file; raises `PassingFault` where none of use comes in time."""
+        try:
+            return self.camera.frame(self.exposure_s)
+        except UselessFile as failure:
+            raise PassingFault(f"camera: {failure}", "camera") from None
 
 
 def _require_folder(folder: Path) -> None:

@@ -3,6 +3,10 @@
 Any camera that follows the standard (GigE Vision, USB3 Vision, CoaXPress), of any maker, through a GenTL producer: the
 file that ends with .cti and comes with a maker's software. The camera stands still until it is asked: the stream is
 started for one frame, and stopped after it, with every automatic function off.
+
+A camera with the event `ExposureEnd`, single frames and a global shutter says when an exposure is over, and is read out
+while the arms move on. With a rolling shutter rows go on being exposed; in a stream that runs it may be the end of an
+older frame.
 """
 
 import contextlib
@@ -10,6 +14,7 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,9 +22,10 @@ import numpy as np
 
 from gonio.config import NonNegative, Positive, Strict, parse
 from gonio.errors import ConfigError, DeviceError, PassingFault
-from gonio.lab.rig import Frame, clock
+from gonio.lab.rig import Arrived, Exposed, Frame, clock
 from gonio.lab.rig.description import RigDescription
 from gonio.typing import NDArray, TomlTable
+from gonio_drivers import log
 
 OFF = {
     "AcquisitionFrameRateEnable": False, "ExposureAuto": "Off", "GainAuto": "Off", "BlackLevelAuto": "Off",
@@ -31,6 +37,10 @@ EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 """Names of the exposure, in microseconds; the second in cameras from before the SFNC 2.0."""
 GAINS, BLACKS = ("Gain", "GainRaw"), ("BlackLevel", "BlackLevelRaw")
 BASES = {"RGGB": "BayerRG", "BGGR": "BayerBG", "GRBG": "BayerGR", "GBRG": "BayerGB", "mono": "Mono"}
+OVER = ("EventExposureEndTimestamp", "ExposureEndEventTimestamp")
+"""Time of the last end of an exposure, once there was one; the second in cameras from before the SFNC 2.0."""
+NOTIFIED = ("On", "GenICamEvent")
+LOOK_S = 0.002
 ONCE_MORE_S = 0.01
 EXPOSURE_TOLERANCE = 0.05
 """A camera counts in lines; the reduction takes what the camera says."""
@@ -67,6 +77,8 @@ class GenICamCamera:
         self._format = ""
         self._failures: tuple[type[Exception], ...] = ()
         self._who = "GenICam camera"
+        self._tells = False
+        """Whether it says when an exposure is over."""
         if settings.pixel_format is not None and settings.pixel_format not in self._formats():
             raise ConfigError(
                 f'devices.camera.pixel_format = "{settings.pixel_format}" does not fit camera.pattern = '
@@ -77,7 +89,7 @@ class GenICamCamera:
     def __enter__(self) -> Self:
         try:
             from genicam import genapi, gentl
-            from harvesters.core import Harvester
+            from harvesters.core import Harvester, ParameterKey, ParameterSet
         except ImportError:
             raise ConfigError(
                 'devices.camera.driver = "genicam" needs harvesters: pip install "gonio[genicam]"'
@@ -89,9 +101,15 @@ class GenICamCamera:
             for path in self._producers():
                 self._harvester.add_file(str(path))
             self._harvester.update()
+            chosen = self._chosen()
             with _keeping_ctrl_c():
-                self._camera = self._harvester.create(self._chosen())
+                self._camera = self._harvester.create(chosen)
+                if self._may_tell():  # events are listened to from the beginning, or not at all
+                    self._camera.destroy()
+                    listening = ParameterSet({ParameterKey.ENABLE_EVENT_MONITOR: True})
+                    self._camera = self._harvester.create(chosen, config=listening)
             self._set_up()
+            self._tells = self._may_tell() and self._notifies()
         except self._failures as error:
             self.__exit__()
             raise DeviceError(f"the {self._who} does not open: {error}") from None
@@ -112,29 +130,53 @@ class GenICamCamera:
 
     def capture(self, exposure_s: float) -> Frame:
         """One frame that was exposed wholly after this call; its exposure is what the camera says."""
+        return self._begun(exposure_s).result()
+
+    def expose(self, exposure_s: float) -> Exposed:
+        """The same once the camera says that the exposure is over; of one that does not, with its frame."""
+        begun = self._begun(exposure_s)
+        if self._tells and begun.over():
+            return begun
+        if self._tells:
+            self._tells = False
+            log.warning("the %s says it could tell when an exposure is over, and does not: moves wait", self._who)
+        return Arrived(begun.result())
+
+    # ---- inside ----
+
+    def _begun(self, exposure_s: float) -> "Exposure":
+        """An exposure of a stream that was just started."""
         if self._camera is None:
             raise DeviceError("the GenICam camera is not open: enter the rig first")
         self._description.require_exposure(exposure_s)
-        try:
+        with self.named_failures():
             feature = self._feature(*EXPOSURES)
             feature.value = type(feature.value)(1e6 * exposure_s)
             actual = float(feature.value) * 1e-6
             if abs(actual / exposure_s - 1) > EXPOSURE_TOLERANCE:
                 raise DeviceError(f"the {self._who} exposes {actual:g} s where {exposure_s:g} s were asked")
+            before = self.ended()
             begun = clock.monotonic()
-            mosaic = self._fresh(actual, begun)
+            end = begun + 2 * actual + self._settings.timeout_s
+            self._camera.start()
+            return Exposure(self, actual, begun, end, before)
+
+    @contextlib.contextmanager
+    def named_failures(self) -> Iterator[None]:
+        """Errors of the libraries become `DeviceError`."""
+        try:
+            yield
         except self._failures as error:
             raise DeviceError(f"the {self._who} gives no frame: {error}") from None
-        camera = self._description
-        return Frame(mosaic, actual, camera.black_level_dn, camera.white_level_dn, camera.pattern, time_s=begun)
 
-    # ---- inside ----
+    def ended(self) -> int | None:
+        """When the last exposure was over, on the camera's clock; None before the first, or where it does not say."""
+        node = next((node for name in OVER if (node := self._node(name, "RO", "RW")) is not None), None)
+        return None if node is None else int(node.value)
 
-    def _fresh(self, exposure_s: float, begun: float) -> NDArray[np.uint16]:
+    def fresh(self, exposure_s: float, begun: float, end: float) -> Frame:
         """The first whole frame that came late enough to have begun after the call."""
-        end = begun + 2 * exposure_s + self._settings.timeout_s
-        incomplete = 0
-        self._camera.start()
+        end, incomplete = max(end, clock.monotonic() + self._settings.timeout_s), 0
         try:
             while True:
                 left = end - clock.monotonic()
@@ -153,11 +195,31 @@ class GenICamCamera:
                 try:
                     if arrived - exposure_s < begun:
                         continue
-                    return self._mosaic(buffer)
+                    mosaic = self._mosaic(buffer)
                 finally:
                     buffer.parent.queue_buffer(buffer)
+                camera = self._description
+                levels = camera.black_level_dn, camera.white_level_dn
+                return Frame(mosaic, exposure_s, *levels, camera.pattern, time_s=begun)
         finally:
             self._camera.stop()
+
+    def _may_tell(self) -> bool:
+        """Whether the camera has what `_tells` needs."""
+        nodes = self._camera.remote_device.node_map
+        if not (self._has("EventSelector") and "ExposureEnd" in nodes.EventSelector.symbolics):
+            return False
+        single = self._has("AcquisitionMode") and "SingleFrame" in nodes.AcquisitionMode.symbolics
+        return single and (not self._has("SensorShutterMode") or nodes.SensorShutterMode.value == "Global")
+
+    def _notifies(self) -> bool:
+        """Have it tell the end of exposures, where it does that."""
+        nodes = self._camera.remote_device.node_map
+        self._set("EventSelector", "ExposureEnd")
+        how = next((name for name in NOTIFIED if name in nodes.EventNotification.symbolics), None)
+        if how is not None:
+            self._set("EventNotification", how)
+        return how is not None
 
     def _mosaic(self, buffer: Any) -> NDArray[np.uint16]:
         camera = self._description
@@ -275,6 +337,38 @@ class GenICamCamera:
             if (node := self._node(name, "RW")) is not None:
                 return node
         raise DeviceError(f"the {self._who} has no feature {' or '.join(names)} that can be set")
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """An exposure that has begun."""
+
+    camera: GenICamCamera
+    exposure_s: float
+    begun: float
+    end: float
+    """When its frame is given up."""
+    before: int | None
+    """When the last exposure before it was over, as the camera says."""
+
+    def over(self) -> bool:
+        """Wait until the camera says that it is over; False where it does not in time."""
+        while clock.monotonic() < self.end:
+            with self.camera.named_failures():
+                told = self.camera.ended()
+            if told not in (None, self.before) and clock.monotonic() >= self.begun + self.exposure_s:
+                return True
+            clock.sleep(LOOK_S)
+        return False
+
+    def done(self) -> bool:
+        """Nobody looks for the frame before it is asked for."""
+        return False
+
+    def result(self) -> Frame:
+        """Wait for the frame."""
+        with self.camera.named_failures():
+            return self.camera.fresh(self.exposure_s, self.begun, self.end)
 
 
 @contextlib.contextmanager

@@ -19,13 +19,26 @@ from gonio.errors import (
     ArgumentError,
     ConfigError,
     DeviceError,
+    Disturbed,
     EmergencyStop,
     GonioError,
     Interrupted,
     PassingFault,
     os_error_as,
 )
-from gonio.lab.rig import Device, Frame, Health, PolariserDevice, Step, Target, ask_for, clock
+from gonio.lab.rig import (
+    Arrived,
+    Device,
+    Exposed,
+    Exposes,
+    Frame,
+    Health,
+    PolariserDevice,
+    Step,
+    Target,
+    ask_for,
+    clock,
+)
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Camera
 from gonio.lab.rig.polarisers import Side
@@ -77,6 +90,10 @@ class GuardedCamera:
         DeviceError
             The camera fails, an axis has moved by itself, or the lamp does not stay as it is meant to be.
         """
+        return self._counting(exposure_s, lambda: Arrived(self._camera.capture(exposure_s))).result()
+
+    def _counting(self, exposure_s: float, expose: Callable[[], Exposed]) -> Exposed:
+        """An exposure during which lamp and arms were as they should be; a frame that is there is looked at first."""
         self.signals.again()
         for _ in range(RETAKES):
             self.allowed()
@@ -84,23 +101,66 @@ class GuardedCamera:
             if "light" in self.watched:
                 self._light.require_time()  # or a long exposure would be for nothing
             begun = self._clock()
-            frame = self._camera.capture(exposure_s)
-            self.allowed()
-            require_frame(self._description, frame, "camera")
-            bits = round(frame.white_level_dn).bit_length()
-            if self._bits not in (0, bits):
-                raise DeviceError(f"camera: a frame has {bits} bits, and the ones before it had {self._bits}")
-            self._bits = bits
-            if "arms" in self.watched:
-                self._arms.still()
+            exposed = expose()
             try:
+                self.allowed()
+                if exposed.done():
+                    exposed = Arrived(self.sound(exposed.result(), begun))
+                if "arms" in self.watched:
+                    self._arms.still()
                 if "light" in self.watched:
                     self._light.check()
             except LampReset as reset:
                 log.warning("%s during an exposure; the frame is taken again", reset)
+                exposed.result()
                 continue
-            return replace(frame, time_s=begun)
+            except (Disturbed, PassingFault):  # the camera has to be rid of what counts for nothing
+                with contextlib.suppress(PassingFault):
+                    exposed.result()
+                raise
+            return exposed if isinstance(exposed, Arrived) else Guarded(self, exposed, begun)
         raise PassingFault(f"the lamp on {self._light} does not stay as it is set, over {RETAKES} exposures", "lamp")
+
+    def alive(self) -> None:
+        """A sign of life before a frame is waited for."""
+        self._light.alive(self._late_s)
+
+    def sound(self, frame: Frame, begun: float) -> Frame:
+        """A frame with its time, if it is what the rig file says."""
+        require_frame(self._description, frame, "camera")
+        bits = round(frame.white_level_dn).bit_length()
+        if self._bits not in (0, bits):
+            raise DeviceError(f"camera: a frame has {bits} bits, and the ones before it had {self._bits}")
+        self._bits = bits
+        return replace(frame, time_s=begun)
+
+
+@dataclass(frozen=True, slots=True)
+class Guarded:
+    """An `Exposed` of the laboratory's camera: lamp and arms were looked at when its exposure was over."""
+
+    camera: GuardedCamera
+    exposed: Exposed
+    begun: float
+
+    def done(self) -> bool:
+        """Whether the frame is there."""
+        return self.exposed.done()
+
+    def result(self) -> Frame:
+        """Wait for the frame."""
+        self.camera.alive()
+        return self.camera.sound(self.exposed.result(), self.begun)
+
+
+class TellingCamera(GuardedCamera):
+    """The same of a camera that may say when its exposure is over, as `gonio.lab.rig.Exposes`."""
+
+    def expose(self, exposure_s: float) -> Exposed:
+        """An exposure during which lamp and arms were as they should be; raises as `capture`."""
+        camera = self._camera
+        assert isinstance(camera, Exposes)
+        return self._counting(exposure_s, lambda: camera.expose(exposure_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +209,11 @@ class LabRig:
                 raise
             self._camera = cameras.Unbuilt(error)
         self._clock_starts = clock.time() - clock.monotonic()
-        late_s = description.camera.frame_overhead_s
+        late_s = description.camera.beside_s
         if isinstance(patience_s := devices.camera.get("timeout_s", 0.0), int | float):
             late_s += patience_s  # how long a driver of ours waits for a frame beside its exposure
-        self.camera = GuardedCamera(description.camera, self._camera, self.light, self.arms, self.time_s, late_s)
+        guarded = TellingCamera if isinstance(self._camera, Exposes) else GuardedCamera
+        self.camera = guarded(description.camera, self._camera, self.light, self.arms, self.time_s, late_s)
         self.interlock: interlock.Interlock | None = None
         if devices.interlock is not None:
             servos = self.arms.joints if isinstance(self.arms, ServoArms) else {}

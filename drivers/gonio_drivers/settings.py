@@ -172,11 +172,20 @@ class Trigger(Strict):
     how: Literal["none", "command", "serial"] = "none"
     command: tuple[str, ...] = ()
     """Program and arguments; {exposure_s} and {folder} are filled in."""
+    fetch: tuple[str, ...] = ()
+    """Program and arguments that bring the file, where `command` ends when the exposure is over: it runs while the arms
+    move on. {folder} is filled in."""
     port: str = ""
     baud: Positive = 115_200
+    done: bool = False
+    """The release box says DONE when it has closed the shutter: the arms move on then, before the file comes."""
 
     @model_validator(mode="after")
     def _complete(self) -> Trigger:
+        if self.fetch and self.how != "command":
+            raise ValueError('`fetch` needs how = "command", whose program ends when the exposure is over')
+        if self.done and self.how != "serial":
+            raise ValueError('done = true needs how = "serial": a release box that says DONE')
         if self.how == "command" and not self.command:
             raise ValueError('how = "command" needs `command`, a list: program and arguments')
         if self.how == "serial" and not self.port:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -167,6 +168,10 @@ class SimulatedCamera:
         DeviceError
             The rig is not open, or the lamp is lit without a band.
         """
+        return self._exposed(exposure_s, exposure_s + self._world.truth.camera.beside_s)
+
+    def _exposed(self, exposure_s: float, busy_s: float) -> Frame:
+        """`capture`, which takes the time `busy_s` [s]."""
         world, camera = self._world, self._world.truth.camera
         world.require_open("camera")
         camera.require_exposure(exposure_s)
@@ -182,7 +187,7 @@ class SimulatedCamera:
             self._hit(mosaic, exposure_s)
         time_s = world.frame_time_s()
         world.frame += 1
-        world.spend(exposure_s + camera.frame_overhead_s)
+        world.spend(busy_s)
         return Frame(
             mosaic=mosaic,
             exposure_s=exposure_s,
@@ -213,3 +218,31 @@ class SimulatedCamera:
         if self._world.band is None:
             raise DeviceError("the lamp is lit, and no band was selected")
         return self._world.true_band(self._world.band)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOut:
+    """A frame of a `SlowCamera` that is on its way."""
+
+    world: World
+    frame: Frame
+    ready_s: float
+    """When it is there, on `World.watch_s`."""
+
+    def done(self) -> bool:
+        """Whether the frame is there."""
+        return self.world.watch_s >= self.ready_s
+
+    def result(self) -> Frame:
+        """Wait for the frame; that is nothing to the clock of the step which has begun meanwhile."""
+        self.world.watch_s = max(self.world.watch_s, self.ready_s)
+        return self.frame
+
+
+class SlowCamera(SimulatedCamera):
+    """A camera with `camera.readout_s`: it says when an exposure is over, as `gonio.lab.rig.Exposes`."""
+
+    def expose(self, exposure_s: float) -> ReadOut:
+        """One frame of what the world looks like now, `camera.beside_s` after its exposure."""
+        frame = self._exposed(exposure_s, exposure_s)
+        return ReadOut(self._world, frame, self._world.watch_s + self._world.truth.camera.beside_s)

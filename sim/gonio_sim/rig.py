@@ -16,7 +16,7 @@ from gonio.lab.rig.light_and_camera import Band
 from gonio.lab.rig.polarisers import SIDES, PolariserMount, Side
 from gonio.samples.description import SampleDescription
 from gonio_sim.arms import SimulatedArms
-from gonio_sim.camera import SimulatedCamera
+from gonio_sim.camera import SimulatedCamera, SlowCamera
 from gonio_sim.render import Renderer
 from gonio_sim.world import InHolder, Stream, World
 
@@ -108,7 +108,8 @@ class SimulatedRig:
         self.world = World(description, sample, seed)
         self.arms = SimulatedArms(self.world)
         self.light = SimulatedLight(self.world)
-        self.camera = SimulatedCamera(self.world, Renderer(self.world))
+        camera = SlowCamera if self.world.truth.camera.readout_s else SimulatedCamera
+        self.camera = camera(self.world, Renderer(self.world))
         mounts = ((side, description.polarisers.on(side)) for side in SIDES)
         self.polarisers = {side: SimulatedPolariser(self.world, side, mount) for side, mount in mounts if mount}
         self._confirm = confirm

@@ -119,6 +119,8 @@ class World:
         self.step = 0
         self.frame = 0
         self._elapsed_s = 0.0
+        self.watch_s = 0.0
+        """What a watch beside the rig shows [s]: moves, frames and waits one after the other, of all steps."""
         self._slot_s = slot_s(self.truth)
 
     def _drawn_of_polariser(self, number: int, drawing: float) -> tuple[float, float, float, float]:
@@ -157,6 +159,7 @@ class World:
     def spend(self, seconds: float) -> None:
         """Let time pass."""
         self._elapsed_s += seconds
+        self.watch_s += seconds
 
     def lamp_level(self) -> float:
         """The lamp's output during the present frame, relative to its mean when the run began."""
@@ -243,7 +246,8 @@ def key(seed: int, stream: Stream, *address: int) -> np.uint64:
 
 
 def slot_s(description: RigDescription) -> float:
-    """Simulated duration of a step [s]: the longest travel of any axis, and `FRAMES_S` for the frames."""
+    """Simulated duration of a step [s]: the longest travel of any axis, `FRAMES_S` for the frames, and read-outs."""
     limits = description.limits_deg()
     travel = max((limits[n][1] - limits[n][0]) / axis.speed_deg_per_s for n, axis in description.axes().items())
-    return travel + SETTLE_S + FRAMES_S
+    frames = description.acquisition.frames + 2  # one for metering, and the shorter one
+    return travel + SETTLE_S + FRAMES_S + frames * description.camera.readout_s

@@ -78,6 +78,9 @@ class Clockwork:
     def move_s(self, start: Pose, goal: Pose) -> float:
         return abs(goal.light - start.light)
 
+    def beside_s(self, move_s: float) -> float:
+        return 0.0
+
 
 @pytest.mark.parametrize(
     ("every", "seconds"),

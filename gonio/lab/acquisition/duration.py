@@ -90,17 +90,21 @@ class Durations:
         if self.detours and start != goal:
             with contextlib.suppress(Blocked):
                 stations = [start, *route(self.description, start, goal)]
-        return self._direct_way_s(stations)
+        return float(self._direct_legs_s(stations).sum())
 
     def way_s(self, stations: Sequence[Pose]) -> float:
         """Duration of the moves from each of some poses to the next [s], as `move_s`."""
-        if self.detours:
-            return math.fsum(self.move_s(a, b) for a, b in itertools.pairwise(stations))
-        return self._direct_way_s(stations)
+        return float(self._legs_s(stations).sum())
 
-    def _direct_way_s(self, stations: Sequence[Pose]) -> float:
+    def _legs_s(self, stations: Sequence[Pose]) -> Floats:
+        """Durations of the moves from each of some poses to the next [s]."""
+        if self.detours:
+            return np.array([self.move_s(a, b) for a, b in itertools.pairwise(stations)])
+        return self._direct_legs_s(stations)
+
+    def _direct_legs_s(self, stations: Sequence[Pose]) -> Floats:
         angles = self.angles(stations)
-        return float(self.direct_s(angles[:-1], angles[1:]).sum())
+        return self.direct_s(angles[:-1], angles[1:])
 
     def moves_s(self, start: Pose, goals: Sequence[Pose]) -> Floats:
         """Durations [s] of the direct moves from one pose to each of many; ways around bodies are not looked for."""
@@ -124,6 +128,10 @@ class Durations:
         second = np.where(moving, np.abs(goals - np.where(back, begin, starts)) / self.speed, 0.0).max(axis=-1)
         return np.asarray(first + second + SETTLE_S * moving.any(axis=-1) + SETTLE_S * back.any(axis=-1))
 
+    def beside_s(self, move_s: float) -> float:
+        """How much of a move [s] passes while the last frame before it is read out."""
+        return min(move_s, self.description.camera.readout_s)
+
     # ---- frames ----
 
     def frames_s(self, step: Step, reflectance: float | Mapping[str, float] | None = None) -> float:
@@ -137,7 +145,7 @@ class Durations:
             Of a point: its reflectance factor, pi times its BRDF, alike in all bands or by a band's name; by default
             `EXPECTED_ALBEDO`.
         """
-        acquisition, overhead = self.description.acquisition, self.description.camera.frame_overhead_s
+        acquisition, overhead = self.description.acquisition, self.description.camera.beside_s
         if step.kind == "dark":
             return sum(acquisition.dark_frames * (t + overhead) for t in exposure.dark_exposures_s(self.description))
         if step.kind == "reference":
@@ -153,7 +161,7 @@ class Durations:
     def _band_s(self, step: Step, reflectance: float) -> float:
         """In one band."""
         description, reference = self.description, self.description.reference
-        acquisition, overhead = description.acquisition, description.camera.frame_overhead_s
+        acquisition, overhead = description.acquisition, description.camera.beside_s
         reflectance = max(reflectance, 1e-9)
         if acquisition.u_rel_target is not None:
             planned = exposure.expected_bracket(description, step.pose, reflectance)
@@ -181,25 +189,33 @@ class Durations:
     # ---- steps ----
 
     def step(self, here: Pose, step: Step, reflectance: float | Mapping[str, float] | None = None) -> TimeParts:
-        """What a step takes, from a pose; parameters as in `frames_s`."""
+        """What a step takes, from a pose where another one was taken; parameters as in `frames_s`.
+
+        What is left of that one's read-out after the move counts as frames of this step.
+        """
         frames_s = self.frames_s(step, reflectance)
         if step.kind == "dark":
             return TimeParts(dark_s=frames_s)
         part = "reference_s" if step.kind == "reference" else "frames_s"
-        return TimeParts(**{"travel_s": self.move_s(here, step.pose), part: frames_s})
+        move_s = self.move_s(here, step.pose)
+        return TimeParts(**{"travel_s": move_s, part: frames_s - self.beside_s(move_s)})
 
     def parts(self, steps: Iterable[Step], here: Pose | None = None) -> TimeParts:
         """What a sequence of steps takes, with the lamp's warm-up before it.
 
         `here` is where the axes stand before (all at 0).
         """
-        stations, seconds = [here or Pose()], {"point": 0.0, "reference": 0.0, "dark": 0.0}
+        stations, seconds, kinds = [here or Pose()], {"point": 0.0, "reference": 0.0, "dark": 0.0}, list[str]()
         for step in steps:
             seconds[step.kind] += self.frames_s(step)
             if step.kind != "dark":
                 stations.append(step.pose)
-        warm_up_s = self.description.lamp.warm_up_s
-        return TimeParts(self.way_s(stations), seconds["point"], seconds["reference"], seconds["dark"], warm_up_s)
+                kinds.append(step.kind)
+        legs_s, warm_up_s = self._legs_s(stations), self.description.lamp.warm_up_s
+        if self.description.camera.readout_s:
+            for kind, leg_s in zip(kinds, legs_s.tolist(), strict=True):
+                seconds[kind] -= self.beside_s(leg_s)
+        return TimeParts(float(legs_s.sum()), seconds["point"], seconds["reference"], seconds["dark"], warm_up_s)
 
 
 def approach_starts(goals: Floats, approach: Floats, limits: Floats) -> Floats:

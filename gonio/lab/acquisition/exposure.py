@@ -354,7 +354,7 @@ class _Planned:
 
     def _number(self, before: list[float], exposure_s: float, least: int) -> int:
         """How many more frames of an exposure reach the target, within the time and `MOST_IN_BRACKET`."""
-        overhead = self._description.camera.frame_overhead_s
+        overhead = self._description.camera.beside_s
         room = self._description.acquisition.longest_point_s - self._time_s(before) - exposure_s / SHORTER
         most = max(min(int(room / max(exposure_s + overhead, 1e-9)), MOST_IN_BRACKET - len(before)), FEWEST)
         least = min(max(least, FEWEST), most)
@@ -368,7 +368,7 @@ class _Planned:
         return low
 
     def _time_s(self, plan: list[float]) -> float:
-        return sum(plan) + len(plan) * self._description.camera.frame_overhead_s
+        return sum(plan) + len(plan) * self._description.camera.beside_s
 
     def _variance(self, plan: list[float]) -> float:
         """Relative variance of the region's rate."""

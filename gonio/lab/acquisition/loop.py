@@ -102,7 +102,7 @@ def _take_all(
             with stop.held():
                 if isinstance(error, DeviceError) or stop.requested > 1:
                     rig.arms.stop()
-                session.finish()
+                session.leave()
                 kind = "interrupted" if isinstance(error, Interrupted) else "device_error"
                 run.append({"event": kind, "message": str(error)})
             raise

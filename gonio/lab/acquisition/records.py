@@ -278,6 +278,8 @@ class StepRecord(_Record):
         default=(), metadata=_key(list[tuple[str, str, Finite | str, str]], _readings, _read_readings)
     )
     """What was read of the rig's devices after the frames, without limits; empty in runs from before it was kept."""
+    overlapped: bool = field(default=False, metadata=_key(bool, _truth))
+    """Whether the arms went on to the next step while its last frame was read out."""
     flag: str = field(metadata=_key(str, read=sys.intern))
     """"" or why the step counts for nothing: it has no frames, or none that tell of its pose ("unsteady")."""
     frames: tuple[FrameRecord, ...] = field(

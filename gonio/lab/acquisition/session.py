@@ -1,42 +1,35 @@
-"""One session at the rig: the state of lamp and target, and the frames that wait for the disk."""
+"""One session at the rig: the state of lamp and target, and the last frame, which comes while the arms go on.
 
+docs/acquisition.md, "Moves beside a read-out", has the rules.
+"""
+
+import contextlib
 import logging
 import math
-import time
 from bisect import bisect_left
-from collections import deque
-from collections.abc import Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass, replace
-from numbers import Real
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
-
-from gonio.errors import DeviceError, Disturbed, Interrupted, PassingFault
+from gonio.errors import DeviceError, Disturbed, GonioError, Interrupted, PassingFault
 from gonio.lab.acquisition import exposure
-from gonio.lab.acquisition.frame_writer import Files, Store, slugs
+from gonio.lab.acquisition.commits import Commits, Taken
+from gonio.lab.acquisition.frame_writer import Files, slugs
 from gonio.lab.acquisition.progress import Live, Progress, Stop
-from gonio.lab.acquisition.records import FrameFile, StepRecord
-from gonio.lab.acquisition.repeats import REPEATED, cannot_be_alike
+from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.acquisition.run import Run
+from gonio.lab.acquisition.shots import Shots
 from gonio.lab.acquisition.waits import Cause, Holding, Suspended, Watch, alive, require
-from gonio.lab.rig import Frame, Pose, Reading, Rig, Step, Target
+from gonio.lab.rig import Arrived, Exposed, Frame, Pose, Reading, Rig, Step, Target
 from gonio.lab.rig.kinematics import View, left_its_side, view
 from gonio.lab.rig.light_and_camera import Band
 from gonio.lab.rig.motion_planning import Blocked, route
 from gonio.lab.rig.polariser_axes import opened, settings
-from gonio.lab.rig.protocols import Monitors
-from gonio.lab.rig.regions import Roi, require_frame, roi
+from gonio.lab.rig.regions import Roi, roi
 
 log = logging.getLogger("gonio.devices")
 ATTEMPTS = 3
 """How often a step is taken whose arms do not stand still."""
-PACE_STEPS = 64
-FAST_STEP_S = 0.01
-"""The last `PACE_STEPS` steps took less each: then steps are synced together."""
-TOGETHER_S = 0.2
-"""Longest time between two syncs of a fast run, whose steps are synced together."""
 MOVED_STEPS = 2.5
 """An axis has moved where its readbacks before and after the frames differ by more steps: encoders flicker by one."""
 MOVED_DEG = 0.01
@@ -68,17 +61,31 @@ class _Readback:
 
 
 @dataclass(slots=True)
-class _Taken:
-    """A step whose frames are on their way to the disk."""
+class _Exposed:
+    """A step whose exposures are over; its last frame may be on its way."""
 
-    record: StepRecord
-    """Its frames without what their files are."""
-    files: list[Future[FrameFile]]
-    live: Live
+    step: Step
+    done: Callable[[bool], Taken]
+    """Waits for that frame, and closes the step; told whether the arms have gone on meanwhile."""
+    before_s: float
+    """`Shots.last_s` before the step."""
+
+    def wait(self) -> None:
+        """Wait for the frame now."""
+        taken = self.done(False)
+        self.done = lambda moved: taken
+
+
+class _NotCome(Exception):
+    """The last frame of the step before has not come: it is taken again, and then this one from its beginning."""
+
+    def __init__(self, before: _Exposed, fault: PassingFault) -> None:
+        super().__init__(str(fault))
+        self.before, self.fault = before, fault
 
 
 class _Session:
-    """One session at the rig: the state of lamp and target, and the frames that wait for the disk."""
+    """One session at the rig: the state of lamp and target, and the frames that wait for camera and disk."""
 
     def __init__(self, rig: Rig, run: Run, numbers: _Numbers, watch: Watch, progress: Progress, stop: Stop) -> None:
         self._rig, self._run, self._progress = rig, run, progress
@@ -90,18 +97,8 @@ class _Session:
         """Largest angle by which an axis may seem to move that stands still."""
         self._lit = False
         self._target: Target | None = None
-        self._taken_steps: list[_Taken] = []
-        """Their frames are being written."""
-        self._committing: tuple[Future[None], list[_Taken]] | None = None
-        """Steps whose frames are on their way to the disk; nothing is waited for before the next ones are."""
-        self._committed_s = -math.inf
-        """When these were sent there, on the computer's clock."""
-        self._begun_s: deque[float] = deque(maxlen=PACE_STEPS)
-        """When the last steps were taken, on a clock that stands still while the disk is waited for."""
-        self._waited_s = 0.0
-        """How long the disk was waited for so far."""
         self._polarisers = opened(rig)
-        self._store = Store(run.path / "frames")
+        self._commits = Commits(run, progress)
         self._holding = Holding(run, progress, stop, rig.time_s, self._darken, lambda: require(rig))
         self._names = slugs(run.bands)
         self._done = run.steps()
@@ -109,21 +106,21 @@ class _Session:
         """The last point of this session that has frames."""
         self._reference = next((s for s in self._done if s.kind == "reference" and not s.flag), None)
         self._angles = run.points.angles_deg
-        self._last_s = -math.inf
-        """When the last frame that counts was taken."""
+        last_s = -math.inf
         if not rig.repeatable and self._done:
             latest = self._done.latest()
-            self._last_s = max((float(frame.time_s) for frame in latest.frames), default=float(latest.time_s))
-        self._resumed = math.isfinite(self._last_s)
-        self._step = -1
-        self._picture: tuple[Frame | None, int] = None, -1
-        """The last frame that came, and of which step."""
+            last_s = max((float(frame.time_s) for frame in latest.frames), default=float(latest.time_s))
+        self._shots = Shots(rig, last_s)
+        self._exposed_step: _Exposed | None = None
+        """The step before, while its last frame is on its way."""
+        self._failed = 0
+        """How often such a frame has not come."""
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._store.close()
+        self._commits.close()
 
     def begin(self, step: Step) -> None:
         """Before the first step: wait where a rule is broken already."""
@@ -143,48 +140,91 @@ class _Session:
             self._holding.before(step)
             if lit:
                 self._after_darkness(step)
-        taken = self._undisturbed(step)
-        if step.kind == "reference" and not taken.record.flag:
-            self._reference = min(self._reference or taken.record, taken.record, key=lambda record: record.step)
-        if step.kind == "point" and taken.record.frames:
-            self._last = taken.record
-        self._taken_steps.append(taken)
-        if not self._hurried() or time.monotonic() - self._committed_s > TOGETHER_S:
-            self._commit()
+        self._exposed_step = self._undisturbed(step)
+        if not self._shots.coming:
+            self._settle()
 
-    def _hurried(self) -> bool:
-        """Whether steps come so fast that the disk, which syncs them one by one, would be what they wait for."""
-        now = time.monotonic() - self._store.waited_s - self._waited_s
-        self._begun_s.append(now)
-        fast = len(self._begun_s) == PACE_STEPS and now - self._begun_s[0] < PACE_STEPS * FAST_STEP_S
-        self._store.at_once = fast
-        return fast
+    def _collect(self, *, moved: bool = False) -> None:
+        """Wait for the last frame of the step before, and let that step wait for the disk; raises `_NotCome`.
 
-    def _undisturbed(self, step: Step) -> _Taken:
+        `moved`: the arms have gone on meanwhile.
+        """
+        if self._exposed_step is None:
+            return
+        before, self._exposed_step = self._exposed_step, None
+        try:
+            self._keep(before.done(moved))
+        except PassingFault as fault:
+            raise _NotCome(before, fault) from None
+        except DeviceError as error:
+            if moved:
+                error.args = (f"step {before.step.index}, which was read out during the next move: {error}",)
+            raise
+
+    def _settle(self) -> None:
+        """`_collect` between steps."""
+        try:
+            self._collect()
+        except _NotCome as lost:
+            self._take_again(lost)
+
+    def _take_again(self, lost: _NotCome) -> None:
+        """Take a step again whose last frame did not come, and wait for that frame this time."""
+        step, lit = lost.before.step, self._lit
+        self._failed += 1
+        if self._failed == ATTEMPTS:
+            log.warning("%d frames did not come that were read out during a move: moves wait from here on", ATTEMPTS)
+        self.finish()
+        self._holding.after(lost.fault, step, 1)
+        if self._rig.repeatable:
+            self._shots.last_s = lost.before.before_s
+        if lit:
+            self._after_darkness(step)
+        self._keep(self._undisturbed(step, faults=1).done(False))
+
+    def _keep(self, taken: Taken) -> None:
+        """Let a step that was taken whole wait for the disk, and be what the next ones start from."""
+        record = taken.record
+        if record.kind == "reference" and not record.flag:
+            self._reference = min(self._reference or record, record, key=lambda record: record.step)
+        if record.kind == "point" and record.frames:
+            self._last = record
+        self._commits.add(taken)
+
+    def _undisturbed(self, step: Step, faults: int = 0) -> _Exposed:
         """A step during which no rule of `[suspend]` was broken; one that was is waited for, and the step taken again.
 
         What happened to the lamp meanwhile nobody knows: on a laboratory rig a point is preceded by a visit to the
-        reference then, unless that would need a person.
+        reference then, unless that would need a person. After `faults` of its camera or lamp its last frame is waited
+        for here.
         """
-        faults, self._step = 0, step.index
         while True:
-            before_s, resumed, lit = self._last_s, self._resumed, self._lit
-            if self._rig.repeatable:  # a repetition gives the same frame once more, which is no fault of the camera
-                self._picture = None, -1
+            self._shots.step = step.index
+            before_s, resumed, lit = self._shots.last_s, self._shots.resumed, self._lit
+            if self._rig.repeatable:
+                self._shots.forget()
             try:
                 alive(self._rig)
                 self._rig.begin(step)
-                return self._dark(step) if step.kind == "dark" else self._lit_step(step)
+                exposed = self._dark(step) if step.kind == "dark" else self._lit_step(step)
+                if faults:
+                    exposed.wait()
+                return exposed
+            except _NotCome as lost:
+                self._take_again(lost)
+                continue
             except Suspended as suspended:
+                self._shots.drop()
                 self._wait(step, suspended.causes)
                 lit = True
             except PassingFault as fault:
+                self._shots.drop()
                 faults += 1
                 self.finish()
                 self._holding.after(fault, step, faults)
                 lit = lit or self._lit
             if self._rig.repeatable:
-                self._last_s, self._resumed = before_s, resumed
+                self._shots.last_s, self._shots.resumed = before_s, resumed
             if lit:
                 self._after_darkness(step)
 
@@ -221,77 +261,97 @@ class _Session:
 
     def finish(self) -> None:
         """Journal every step that has been taken whole."""
-        if self._taken_steps:
-            self._commit()
-        self._journal()
+        self._settle()
+        self._commits.finish()
 
-    def _commit(self) -> None:
-        """Send the frames of the steps taken to the disk, and journal those that were sent before."""
-        self._journal()
-        self._committed_s = time.monotonic()
-        self._committing, self._taken_steps = (self._store.commit(), self._taken_steps), []
+    def leave(self) -> None:
+        """The same where the run ends early: a frame is waited for in the dark, and not taken again."""
+        if self._exposed_step is not None:
+            step = self._exposed_step.step.index
+            with contextlib.suppress(GonioError):  # leaving the rig darkens it in any case
+                self._darken()
+            try:
+                self._collect()
+            except (_NotCome, DeviceError) as error:
+                log.warning("step %d: %s; it is not in this run yet", step, error)
+        self._commits.finish()
 
-    def _journal(self) -> None:
-        """Wait for the frames that are on their way to the disk, and journal their steps."""
-        if self._committing is None:
-            return
-        (done, steps), self._committing = self._committing, None
-        began = time.monotonic()
-        done.result()
-        self._run.append_all([taken.record.stored([file.result() for file in taken.files]).text() for taken in steps])
-        for taken in steps:
-            self._progress.step(taken.live)
-        self._waited_s += time.monotonic() - began
-
-    def _dark(self, step: Step) -> _Taken:
+    def _dark(self, step: Step) -> _Exposed:
+        before_s = self._shots.last_s
+        self._collect()
         self._darken()
-        exposures, number = exposure.dark_exposures_s(self._description), self._description.acquisition.dark_frames
-        files = Files(self._store, step, self._run.key, len(exposures) * number)
-        for exposure_s in exposures:
-            for _ in range(number):
-                files.keep(self._capture(exposure_s), "dark", "", lamp=False)
+        number = self._description.acquisition.dark_frames
+        exposures = [t for t in exposure.dark_exposures_s(self._description) for _ in range(number)]
+        files = Files(self._commits.store, step, self._run.key, len(exposures))
+        for exposure_s in exposures[:-1]:
+            files.keep(self._capture(exposure_s), "dark", "", lamp=False)
+        last = self._expose(exposures[-1])
         readback = self._readback()
-        return self._taken(step, readback.pose, readback, files=files)
+        health = self._health()
 
-    def _lit_step(self, step: Step) -> _Taken:
+        def done(moved: bool) -> Taken:
+            files.keep(last.result(), "dark", "", lamp=False)
+            return self._taken(step, readback, "", health, files, moved=moved)
+
+        return _Exposed(step, done, before_s)
+
+    def _lit_step(self, step: Step) -> _Exposed:
         target: Target = "reference" if step.kind == "reference" else "sample"
         self._present(target)
-        before_s = self._last_s
+        before_s = self._shots.last_s
         for attempt in range(1, ATTEMPTS + 1):
             try:
-                return self._exposed(step, target)
+                return _Exposed(step, self._exposed(step, target), before_s)
             except Disturbed as disturbed:
-                self._last_s = before_s
+                self._shots.drop()
+                self._shots.last_s = before_s
                 then = "it is taken again" if attempt < ATTEMPTS else 'it is flagged "moved"'
                 log.warning("step %d: %s; %s", step.index, disturbed, then)
-        return self._taken(step, step.pose, self._readback(), "moved")
+        return _Exposed(step, self._without_frames(step, self._readback(), "moved"), before_s)
 
-    def _exposed(self, step: Step, target: Target) -> _Taken:
-        """Move, and take the frames of every band; raises `Disturbed` where an axis did not stand still meanwhile."""
+    def _exposed(self, step: Step, target: Target) -> Callable[[bool], Taken]:
+        """Move, and take the frames of every band, the last of which may come later: as `_Exposed.done`.
+
+        Raises `Disturbed` where an axis did not stand still meanwhile.
+        """
         try:
             pose = self._move(step.pose)
         except Blocked as blocked:
+            self._collect()
             log.warning("step %d: blocked: %s", step.index, blocked)
-            return self._taken(step, step.pose, self._readback(), "blocked")
+            return self._without_frames(step, self._readback(), "blocked")
         readback = _Readback(pose, self._rig.time_s(), getattr(self._rig.arms, "spread", None))
+        self._collect(moved=True)
         seen = view(self._description, pose)
         straight = target == "reference" and self._description.reference.how == "beam"
         if not straight and left_its_side(self._description, step.pose, pose):
-            return self._taken(step, step.pose, readback, "below_horizon")
+            return self._without_frames(step, readback, "below_horizon")
         levels, brightest = {}, 0.0
         planned = self._description.acquisition.u_rel_target is not None  # then each band says how many it has
         count = 0 if planned else len(self._run.bands) * (self._frames(step) + (step.kind == "point"))
-        files = Files(self._store, step, self._run.key, count, readback.pose, readback.time_s)
+        files = Files(self._commits.store, step, self._run.key, count, readback.pose, readback.time_s)
         for band in self._run.bands:
-            levels[band.name], level = self._band(step, seen, target, band, files)
-            brightest = max(brightest, level)
+            levels[band.name], last = self._band(step, seen, target, band, files)
+            if band is not self._run.bands[-1]:
+                brightest = max(brightest, last())
         after = self._readback()
         for name, still_deg in self._still_deg.items():
             way_deg = math.degrees(abs(getattr(after.pose, name) - getattr(pose, name)))
             if way_deg > still_deg:
                 raise Disturbed(f"axis {name} has moved by {way_deg:.2f} deg during the exposures")
         flag = "unsteady" if step.kind == "point" and self._unsteady(step, readback.spread) else ""
-        return self._taken(step, step.pose, readback, flag, files, brightest, after, levels)
+        health = self._health()
+
+        def done(moved: bool) -> Taken:
+            level = max(brightest, last())
+            return self._taken(step, readback, flag, health, files, level, after, levels, moved=moved)
+
+        return done
+
+    def _without_frames(self, step: Step, readback: _Readback, flag: str) -> Callable[[bool], Taken]:
+        """A step that is flagged, as `_Exposed.done`."""
+        taken = self._taken(step, readback, flag, self._health())
+        return lambda moved: taken
 
     def _readback(self) -> _Readback:
         return _Readback(self._rig.arms.read(), self._rig.time_s())
@@ -309,61 +369,13 @@ class _Session:
         return self._description.reference.frames if step.kind == "reference" else self._description.acquisition.frames
 
     def _capture(self, exposure_s: float) -> Frame:
-        """A frame, later than the one before it; raises `DeviceError` where its time does not say so."""
-        frame, last_s = self._rig.camera.capture(exposure_s), self._last_s
-        source = f'the camera of the rig "{self._description.name}"'
-        require_frame(self._description.camera, frame, source)
-        exposure.require_asked(self._description.camera, frame, exposure_s, source)
-        self._require_another_picture(frame)
-        sound = isinstance(frame.time_s, Real) and 0.0 <= frame.time_s < math.inf
-        if sound and frame.time_s > last_s:
-            self._last_s, self._resumed = float(frame.time_s), False
-            return self._monitored(frame)
-        what = "a frame"
-        if not sound:
-            why = (
-                ": seconds of at least 0 are needed. In the rig's driver, give each Frame the rig's time_s() at the "
-                "start of its exposure"
-            )
-        elif self._resumed:
-            what = "its first frame"
-            why = (
-                f", and this run holds a frame of {last_s!r} s: the rig's clock was set back, or starts anew at every "
-                "session. Set the computer's clock right, or let the rig's time_s() go on from session to session; or "
-                "measure into a new folder"
-            )
-        else:
-            why = (
-                f", and the one before it had {last_s!r} s: the drift of the lamp cannot be told from times that do "
-                "not grow. In the rig's driver, give each Frame the rig's time_s() at the start of its exposure, from "
-                "a clock that never goes back (time.monotonic)"
-            )
-        raise DeviceError(f"{source} stamps {what} with time_s = {frame.time_s!r}{why}")
+        return self._shots.capture(exposure_s, lit=self._lit)
 
-    def _require_another_picture(self, frame: Frame) -> None:
-        """Raise `DeviceError` where the camera hands out the picture before this one under a new header."""
-        (before, of), self._picture = self._picture, (frame, self._step)
-        row = frame.mosaic.shape[0] // 2
-        if before is None or not np.array_equal(before.mosaic[row], frame.mosaic[row]):  # nearly always that tells
-            return
-        if cannot_be_alike(self._description.camera, before, frame):
-            raise DeviceError(
-                f'step {self._step}: the camera of the rig "{self._description.name}" gives the same picture twice, '
-                f"pixel by pixel, which noise makes impossible (the one before is of step {of}): {REPEATED}. Look "
-                "after camera and driver, as what its buffer keeps, then go on with --resume"
-            )
-
-    def _monitored(self, frame: Frame) -> Frame:
-        """A frame with the reading of the lamp's monitor, where frames are divided by it."""
-        if not (self._lit and self._description.lamp.monitor and frame.monitor is None):
-            return frame
-        read = self._rig.light.monitor() if isinstance(self._rig.light, Monitors) else None
-        if read is None or not 0.0 < read < math.inf:
-            raise DeviceError(
-                f'the lamp of the rig "{self._description.name}" gives no reading of a monitor ({read}), and the rig '
-                "file says lamp.monitor = true: name the question of its monitor in devices.light, or leave the key out"
-            )
-        return replace(frame, monitor=float(read))
+    def _expose(self, exposure_s: float) -> Exposed:
+        """The same of the last frame before the arms go on; the light in the room is looked at while they stand."""
+        if self._watch.room_light or self._failed >= ATTEMPTS:
+            return Arrived(self._capture(exposure_s))
+        return self._shots.expose(exposure_s, lit=self._lit)
 
     def _unsteady(self, step: Step, spread: Pose | None) -> bool:
         """Whether an encoder does not tell where its axis stands: its readings at rest lie too far apart."""
@@ -377,8 +389,13 @@ class _Session:
                 return True
         return False
 
-    def _band(self, step: Step, seen: View, target: Target, band: Band, files: Files) -> tuple[float, float]:
-        """Meter and measure one band: its level for one second, and the level of the last full frame."""
+    def _band(
+        self, step: Step, seen: View, target: Target, band: Band, files: Files
+    ) -> tuple[float, Callable[[], float]]:
+        """Meter and measure one band: its level for one second, and what waits for the last frame.
+
+        That gives the level of the last full frame.
+        """
         description, rig = self._description, self._rig
         region: Roi = roi(description, seen, target, band.channel)
         for side, state, azimuth in settings(description, seen, target, band.polarisation):
@@ -396,12 +413,17 @@ class _Session:
             least = description.reference.frames if step.kind == "reference" else exposure.FEWEST
             exposures = list(exposure.bracket(description, found, region.of, least))
             files.count += len(exposures)
-        for exposure_s in exposures:
-            frame = self._capture(exposure_s)
-            if exposure_s >= found.exposure_s:
-                level = exposure.level(description.camera, frame, region.of)
+
+        def keep(frame: Frame, exposure_s: float) -> float:
             files.keep(frame, slug, band.name, lamp=True)
-        return found.level_per_s, level
+            full = exposure_s >= found.exposure_s
+            return exposure.level(description.camera, frame, region.of) if full else level
+
+        for exposure_s in exposures[:-1]:
+            level = keep(self._capture(exposure_s), exposure_s)
+        final = band is self._run.bands[-1]
+        last = self._expose(exposures[-1]) if final else Arrived(self._capture(exposures[-1]))
+        return found.level_per_s, lambda: keep(last.result(), exposures[-1])
 
     def _before(self, step: Step, band: Band) -> StepRecord | None:
         """The last point before a step in the schedule that has frames of a band."""
@@ -438,24 +460,19 @@ class _Session:
         return max(float(levels[name]), 1e-6) * ratio
 
     def _taken(
-        self,
-        step: Step,
-        goal: Pose,
-        readback: _Readback,
-        flag: str = "",
-        files: Files | None = None,
-        level: float = 0.0,
-        after: _Readback | None = None,
-        levels_per_s: dict[str, float] | None = None,
-    ) -> _Taken:
+        self, step: Step, readback: _Readback, flag: str, health: tuple[Reading, ...], files: Files | None = None,
+        level: float = 0.0, after: _Readback | None = None, levels_per_s: dict[str, float] | None = None,
+        *, moved: bool = False,
+    ) -> Taken:  # fmt: skip
         frames = tuple(files.frames) if files is not None else ()
         record = StepRecord(
-            step=step.index, kind=step.kind, point=step.point, goal=goal, flag=flag, frames=frames,
+            step=step.index, kind=step.kind, point=step.point, flag=flag, frames=frames,
+            goal=readback.pose if step.kind == "dark" else step.pose,
             time_s=frames[0].time_s if frames else self._rig.time_s(),
             pose=readback.pose, pose_time_s=readback.time_s, pose_spread=readback.spread,
             pose_after=after.pose if after is not None else None,
             pose_after_time_s=after.time_s if after is not None else None,
-            level_per_s=levels_per_s, health=self._health(),
+            level_per_s=levels_per_s, health=health, overlapped=moved,
         )  # fmt: skip
         if files is not None:
             files.close(record)
@@ -463,12 +480,14 @@ class _Session:
             self._angles = self._run.points.angles_deg
         angles = None if step.point is None else tuple(map(float, self._angles[step.point]))
         live = Live(step, angles, level, max((frame.exposure_s for frame in frames), default=0.0), flag, record)  # type: ignore[arg-type]
-        return _Taken(record, files.written if files is not None else [], live)
+        return Taken(record, files.written if files is not None else [], live)
 
     def _present(self, target: Target) -> None:
         if target != self._target:
             if self._stop.requested and not self._rig.repeatable:
                 raise Interrupted("stopped")  # rather than ask a person to put something there
+            if self._description.reference.how in ("swap", "beam"):
+                self._collect()  # nobody is asked while a frame may have to be taken again
             with self._progress.paused():
                 self._rig.present(target)
             self._target = target

@@ -215,7 +215,7 @@ class Assistant:
 
     def _capture(self, exposure_s: float) -> Frame:
         camera = self._manual.description.camera
-        allowed_s = exposure_s + camera.frame_overhead_s + CAMERA_S
+        allowed_s = exposure_s + camera.beside_s + CAMERA_S
         with self.timer.within(allowed_s, "the camera"):
             frame = self._manual.camera.capture(exposure_s)
         regions.require_frame(camera, frame, "camera")

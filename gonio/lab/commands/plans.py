@@ -230,6 +230,9 @@ def _effort(written: Plan, points: list[Assessed], rig: RigChoice, steps: list[S
         "on the rig's clock, for a matt sample of albedo 0.5",
         "time: " + ", ".join(f"{name} {duration(seconds)}" for name, seconds in named if seconds),
     ]
+    if rig.description.camera.readout_s:
+        hidden_s = sum(map(durations.frames_s, steps)) - (parts.frames_s + parts.reference_s + parts.dark_s)
+        lines.append(f"moves go on while frames are read out, which saves {duration(hidden_s)}")
     if written.order == "short":
         poses = {a.point: a.pose for a in points if a.pose is not None}
         as_written = [poses[point] for point in written.points if point in poses]

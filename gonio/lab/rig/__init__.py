@@ -4,9 +4,12 @@ from gonio.lab.rig.health import Health, Reading
 from gonio.lab.rig.prompt import PROMPTS, ask_for
 from gonio.lab.rig.protocols import (
     ArmsDevice,
+    Arrived,
     ByHand,
     CameraDevice,
     Device,
+    Exposed,
+    Exposes,
     FoundServo,
     Frame,
     Homed,
@@ -24,9 +27,12 @@ from gonio.lab.rig.protocols import (
 __all__ = [
     "PROMPTS",
     "ArmsDevice",
+    "Arrived",
     "ByHand",
     "CameraDevice",
     "Device",
+    "Exposed",
+    "Exposes",
     "FoundServo",
     "Frame",
     "Health",

@@ -153,10 +153,18 @@ class Camera(Strict):
     """Electrons a second on the axis from a Lambertian white (brdf = 1/pi) at normal incidence, with a fresh lamp."""
     exposure_limits_s: tuple[Positive, Positive] = (1e-4, 60.0)
     frame_overhead_s: NonNegative = 0.05
+    readout_s: NonNegative = 0.0
+    """How long a frame is read out and transferred beyond `frame_overhead_s` [s], of a camera whose driver says when an
+    exposure is over: the arms move on meanwhile."""
     polarisation: Polarisation = Polarisation()
     """Diattenuation of lens and sensor together."""
     cosmic_per_s: NonNegative = 0.0
     """Simulation: hits of cosmic radiation a second on the whole sensor."""
+
+    @property
+    def beside_s(self) -> float:
+        """What a frame takes beside its exposure [s]."""
+        return self.frame_overhead_s + self.readout_s
 
     @property
     def saturation_e(self) -> float:

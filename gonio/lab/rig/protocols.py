@@ -115,6 +115,43 @@ class CameraDevice(Protocol):
         """One frame that was exposed wholly after this call."""
 
 
+class Exposed(Protocol):
+    """An exposure that is over; its frame may be on its way still."""
+
+    def done(self) -> bool:
+        """Whether the frame is there."""
+
+    def result(self) -> Frame:
+        """Wait for the frame; asked once. Raises as `CameraDevice.capture`, which takes no second exposure here."""
+
+
+@runtime_checkable
+class Exposes(Protocol):
+    """A camera that says when an exposure is over, before its frame is read out."""
+
+    def expose(self, exposure_s: float) -> Exposed:
+        """Expose wholly after this call, and return once that is over: what moves or shines then changes no pixel.
+
+        No other exposure is asked for before the frame was. Where the device cannot tell, this returns with the frame.
+        Raises as `CameraDevice.capture`.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """An `Exposed` whose frame is there."""
+
+    frame: Frame
+
+    def done(self) -> bool:
+        """It is."""
+        return True
+
+    def result(self) -> Frame:
+        """The frame."""
+        return self.frame
+
+
 class PolariserDevice(Protocol):
     """A polariser on an arm; out of the beam after construction, where it has an empty place."""
 

@@ -4,6 +4,7 @@ It stands in for `harvesters.core.Harvester`. Frames from before the stream was 
 may come with parts missing, which harvesters throws away.
 """
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -20,14 +21,29 @@ FORMATS = {
 }  # fmt: skip
 """Pixel formats and their numbers (GenICam PFNC)."""
 NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
+ENDED = 0x9C43
+"""Number of the event "ExposureEnd"."""
+EVENTS = {"EventSelector": ("ExposureEnd",), "EventNotification": ("Off", "On"),
+          "SensorShutterMode": ("Global", "Rolling")}  # fmt: skip
+EVENT_NODES = (
+    f'<Port Name="ExposureEndPort"><EventID>{ENDED:X}</EventID></Port><IntReg Name="EventExposureEndTimestamp">'
+    "<Address>0</Address><Length>8</Length><AccessMode>RO</AccessMode><pPort>ExposureEndPort</pPort>"
+    "<Cachable>NoCache</Cachable><Sign>Unsigned</Sign><Endianess>LittleEndian</Endianess></IntReg>"
+)
 MODES = {"AcquisitionMode": ("Continuous", "SingleFrame"), "ExposureAuto": ("Continuous", "Off"),
          "GainAuto": ("Continuous", "Off"), "TriggerMode": ("On", "Off")}  # fmt: skip
 
 
-def described(formats: tuple[str, ...], shortest_us: float = 10.0, without: tuple[str, ...] = ()) -> str:
-    """The XML that a camera describes itself by; `without` leaves features out. Every value is at its worst."""
+def described(
+    formats: tuple[str, ...], shortest_us: float = 10.0, without: tuple[str, ...] = (), *, tells: bool = False
+) -> str:
+    """The XML that a camera describes itself by; `without` leaves features out. Every value is at its worst.
+
+    One that `tells` has the event of an exposure that is over.
+    """
     enums = {"PixelFormat": {name: FORMATS[name] for name in formats}}
-    enums |= {name: {entry: k for k, entry in enumerate(entries)} for name, entries in MODES.items()}
+    choices = MODES | (EVENTS if tells else {})
+    enums |= {name: {entry: k for k, entry in enumerate(entries)} for name, entries in choices.items()}
     nodes = {
         name: f'<Enumeration Name="{name}">'
         + "".join(f'<EnumEntry Name="{entry}"><Value>{k}</Value></EnumEntry>' for entry, k in entries.items())
@@ -51,7 +67,8 @@ def described(formats: tuple[str, ...], shortest_us: float = 10.0, without: tupl
     return (
         '<RegisterDescription ModelName="Twin" VendorName="gonio" ToolTip="" StandardNameSpace="None" '
         f"{versions}{guids}"
-        f'xmlns="{NAMESPACE}"><Category Name="Root">{features}</Category>{"".join(kept.values())}</RegisterDescription>'
+        f'xmlns="{NAMESPACE}"><Category Name="Root">{features}</Category>{"".join(kept.values())}'
+        f"{EVENT_NODES if tells else ''}</RegisterDescription>"
     )
 
 
@@ -91,6 +108,10 @@ class GenICamTwin:
     """Frames that wait in the queue at every start."""
     incomplete: int = 0
     """Number of next frames that come with parts missing."""
+    readout_s: float = 0.0
+    """Of a camera that tells the end of its exposures: how long its frame takes after that [s]."""
+    mute: bool = False
+    """It does not tell, although it could."""
     silent: bool = False
     runs: bool = False
     opened: str = ""
@@ -103,6 +124,10 @@ class GenICamTwin:
         self.remote_device = SimpleNamespace(node_map=self.nodes)
         self._queue: list[NDArray[np.uint16]] = []
         self._waiting: list[NDArray[np.uint16]] = []
+        self._adapter: Any = None
+        """Brings events to the node map, where somebody listens."""
+        self._exposing: threading.Timer | None = None
+        self._ready_s, self._told = 0.0, 0
 
     # ---- Harvester ----
 
@@ -120,9 +145,12 @@ class GenICamTwin:
         """The cameras that there are."""
         return [SimpleNamespace(serial_number=serial, model="Twin") for serial in self.serials]
 
-    def create(self, wanted: dict[str, str]) -> "GenICamTwin":
-        """Open one of them."""
+    def create(self, wanted: dict[str, str], config: Any = None) -> "GenICamTwin":
+        """Open one of them; with `config` its events are listened to."""
+        from genicam.genapi import EventAdapterGeneric
+
         self.opened = wanted["serial_number"]
+        self._adapter = EventAdapterGeneric(self.nodes.pointer) if config is not None else None
         return self
 
     def reset(self) -> None:
@@ -135,6 +163,18 @@ class GenICamTwin:
         self.runs = True
         self._queue, self._waiting = self._waiting, []
         self._queue += [self.see(self.nodes.ExposureTime.value * 1e-6) for _ in range(self.stale)]
+        if self._adapter is not None:
+            exposure_s = self.nodes.ExposureTime.value * 1e-6
+            self._exposing = threading.Timer(exposure_s, self._over, [exposure_s])
+            self._exposing.start()
+
+    def _over(self, exposure_s: float) -> None:
+        """The exposure is over: what is seen later is on no frame."""
+        self._queue.append(self.see(exposure_s))
+        self._ready_s = clock.monotonic() + self.readout_s
+        self._told += 1
+        if not self.mute:
+            self._adapter.deliver_message(self._told.to_bytes(8, "little"), ENDED)
 
     def fall_behind(self) -> None:
         """A frame of what is seen now comes first when the stream is started."""
@@ -147,6 +187,9 @@ class GenICamTwin:
         if self.silent:
             clock.sleep(timeout)
             return None
+        if self._exposing is not None:
+            self._exposing.join()
+            clock.sleep(max(self._ready_s - clock.monotonic(), 0.0))
         if self._queue:
             image = self._queue.pop(0)
         else:
@@ -164,8 +207,8 @@ class GenICamTwin:
 
     def stop(self) -> None:
         """Stop the stream."""
-        self.runs = False
+        self.runs, self._exposing = False, None
 
     def destroy(self) -> None:
         """Close the camera."""
-        self.opened = ""
+        self.opened, self._adapter = "", None

@@ -1,7 +1,7 @@
 """A tethered camera: a release box on a serial port, and a program that puts DNG files into a folder.
 
-`EXPOSE seconds` is answered with OK when the shutter opens. After the exposure the file is written under a temporary
-name and renamed, as a careful tethering program does.
+`EXPOSE seconds` is answered with OK when the shutter opens, and with DONE when it has closed. After `camera.readout_s`
+the file is written under a temporary name and renamed, as a careful tethering program does.
 """
 
 from collections.abc import Callable
@@ -24,15 +24,27 @@ class TetheredCamera(Device):
     folder
         Where the files go.
     scale
-        How many times faster than wall time an exposure is over.
+        How many times faster than wall time an exposure is over, and read out.
+    readout_s
+        How long a frame is read out and transferred [s].
+    says_done
+        Whether it says DONE.
     """
 
     def __init__(
-        self, expose: Callable[[float], Frame], folder: Path, *, scale: float = 1.0, faults: Faults | None = None
+        self,
+        expose: Callable[[float], Frame],
+        folder: Path,
+        *,
+        scale: float = 1.0,
+        faults: Faults | None = None,
+        readout_s: float = 0.0,
+        says_done: bool = False,
     ) -> None:
         self._expose = expose
         self._folder = folder
         self._scale = scale
+        self._readout_s, self._says_done = readout_s, says_done
         self.faults = faults or Faults()
         self._buffer = b""
         self._number = 0
@@ -51,15 +63,18 @@ class TetheredCamera(Device):
                 send(b"ERR\n")
                 continue
             send(b"OK\n")
-            self._shoot(exposure_s)
+            self._shoot(exposure_s, send)
 
-    def _shoot(self, exposure_s: float) -> None:
+    def _shoot(self, exposure_s: float, send: Send) -> None:
         fault = self.faults.take(*CAMERA)
         clock.sleep(exposure_s / self._scale)
         try:
             frame = self._expose(2 * exposure_s if fault == "wrong-exposure" else exposure_s)
         except ConfigError:
             return  # the camera cannot expose that long: no file
+        if self._says_done:
+            send(b"DONE\n")
+        clock.sleep(self._readout_s / self._scale)
         self._number += 1
         path = self._folder / f"IMG_{self._number:06d}.DNG"
         if fault == "file-missing":

@@ -246,7 +246,11 @@ class Twins:
         self.stages = self._built_stages()
         self.bus = ServoBus(self.servos.values(), self.faults)
         self.lamp: LampTwin = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
-        self.camera = TetheredCamera(self._expose, folder / "frames", scale=scale, faults=self.faults)
+        readout_s = description.camera.readout_s
+        self.camera = TetheredCamera(
+            self._expose, folder / "frames",
+            scale=scale, faults=self.faults, readout_s=readout_s, says_done=self._says_done,
+        )  # fmt: skip
         self.peers: dict[str, SerialPeer | SocketPeer] = {}
         self._stack = contextlib.ExitStack()
 
@@ -340,7 +344,7 @@ class Twins:
             devices["camera"] |= served
         else:
             kept = devices["camera"] if self.driver == "folder" else {"driver": "folder"}
-            trigger = {"how": "serial", "port": self._port("release")}
+            trigger = {"how": "serial", "port": self._port("release")} | ({"done": True} if self._says_done else {})
             devices["camera"] = kept | {"folder": str(self._folder / "frames"), "trigger": trigger}
         lamp = original.lamp.model_copy(update={"warm_up_s": original.lamp.warm_up_s / self.scale})
         return original.model_copy(update={"devices": devices, "lamp": lamp})
@@ -358,6 +362,11 @@ class Twins:
     def video(self) -> bool:
         """Whether it is a USB camera of 8 bits, of which there is a stand-in."""
         return self.driver == "uvc" and self.world.description.camera.bits == 8
+
+    @property
+    def _says_done(self) -> bool:
+        """Whether the camera tells that an exposure is over, as one with a read-out does."""
+        return self.world.description.camera.readout_s > 0.0
 
     @property
     def replays(self) -> bool:

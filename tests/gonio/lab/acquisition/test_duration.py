@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import astuple
+from itertools import pairwise
 
 import pytest
 from hypothesis import example, given
@@ -197,3 +198,26 @@ def test_arms_face_each_other_as_near_to_a_right_angle_as_their_limits_allow(
         return
     pose = reference_pose(description)
     assert (math.degrees(pose.light), math.degrees(pose.camera)) == pytest.approx(stands)
+
+
+def test_moves_hide_the_read_out_before_them_and_no_more_than_that() -> None:
+    """A dark, a visit 30 deg away (3.2 s), a point 0.5 deg further (0.65 s and the approach), and one in its place."""
+    steps = [
+        Step(0, "dark"),
+        Step(1, "reference", pose=deg(light=30)),
+        Step(2, "point", 0, deg(light=30.5)),
+        Step(3, "point", 1, deg(light=30.5)),
+    ]
+    slow = Camera(width=64, height=48, pixel_um=40, exposure_limits_s=(1e-4, 10.0), readout_s=1.0)
+    plain = Camera(width=64, height=48, pixel_um=40, exposure_limits_s=(1e-4, 10.0))
+    with_it, without = Durations(rig(camera=slow), BANDS[:1]), Durations(rig(camera=plain), BANDS[:1])
+    moves = [with_it.move_s(a.pose, b.pose) for a, b in pairwise(steps)]
+    shots = [8, 3, 5, 5]  # two dark exposures of four frames; metering and two; metering, three and the shorter one
+    assert moves[0] > 1.0 > moves[1] > moves[2] == 0.0
+    whole, waits = with_it.parts(steps), without.parts(steps)
+    assert whole.travel_s == waits.travel_s
+    assert whole.dark_s == pytest.approx(waits.dark_s + shots[0], abs=ROUNDING)
+    assert whole.reference_s == pytest.approx(waits.reference_s + shots[1] - 1.0, abs=ROUNDING)
+    assert whole.frames_s == pytest.approx(waits.frames_s + shots[2] + shots[3] - moves[1], abs=ROUNDING)
+    one, two, three = (with_it.step(a.pose, b) for a, b in pairwise(steps))
+    assert astuple(one + two + three)[:3] == pytest.approx(astuple(whole)[:3], abs=ROUNDING)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gonio.errors import DataError
-from gonio.lab.acquisition import session
+from gonio.lab.acquisition import commits
 from gonio.lab.acquisition.journal import Events
 from gonio.lab.acquisition.measure import RigChoice, carry_out
 from gonio.lab.acquisition.plan import Plan, load_plan
@@ -96,16 +96,16 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
     plan: Plan, tmp_path: Path, counted: Counter[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)  # every machine is fast enough
+    monkeypatch.setattr(commits, "FAST_STEP_S", 10.0)  # every machine is fast enough
     together = measure(plan, tmp_path / "together")
     fast = Counter(counted)
     counted.clear()
-    monkeypatch.setattr(session, "FAST_STEP_S", 0.0)
+    monkeypatch.setattr(commits, "FAST_STEP_S", 0.0)
     assert list(together.steps()) == list(measure(plan, tmp_path / "single").steps())
     assert len(together.steps()) == POINTS + 5  # a dark, and visits before, after 100, after 200 and at the end
     assert counted["journal"] >= POINTS
     # 64 steps show the pace; then the clock decides, and a machine that is busy needs more than a few
-    assert fast["journal"] < session.PACE_STEPS + (POINTS - session.PACE_STEPS) / 2
+    assert fast["journal"] < commits.PACE_STEPS + (POINTS - commits.PACE_STEPS) / 2
     assert fast["others"] <= counted["others"]
     assert fast["read"] < 20, "the journal is not read again at every step"
 
@@ -113,8 +113,8 @@ def test_fast_steps_share_their_syncs_and_the_record_is_the_same(
 def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
     plan: Plan, steps: list[StepRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
-    monkeypatch.setattr(session, "TOGETHER_S", 0.01)
+    monkeypatch.setattr(commits, "FAST_STEP_S", 10.0)
+    monkeypatch.setattr(commits, "TOGETHER_S", 0.01)
     child = os.fork()
     if child == 0:
         try:
@@ -123,7 +123,7 @@ def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
             os._exit(1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     before = list(Run.open(tmp_path / "cut").steps())
-    assert len(before) >= session.PACE_STEPS
+    assert len(before) >= commits.PACE_STEPS
     run = measure(plan, tmp_path / "cut", resume=True)
     assert list(run.steps())[: len(before)] == before
     assert list(run.steps()) == steps
@@ -134,7 +134,7 @@ def test_a_kill_among_fast_steps_loses_nothing_that_was_journalled(
 def test_no_frame_has_its_name_before_it_is_on_the_disk_nor_a_line_before_that(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
+    monkeypatch.setattr(commits, "FAST_STEP_S", 10.0)
     synced, named, told = set[int](), dict[str, int](), list[str]()
     replace, append_all = os.replace, Run.append_all
 
@@ -166,7 +166,7 @@ def test_no_frame_has_its_name_before_it_is_on_the_disk_nor_a_line_before_that(
 def test_a_disk_that_fails_among_fast_steps_leaves_no_line_without_its_frames(
     plan: Plan, steps: list[StepRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
-    monkeypatch.setattr(session, "FAST_STEP_S", 10.0)
+    monkeypatch.setattr(commits, "FAST_STEP_S", 10.0)
     synced = count(1)  # by several threads
 
     def fails(descriptor: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gonio.errors import DataError, DeviceError
-from gonio.lab.acquisition import repair, repeats, session
+from gonio.lab.acquisition import repair, repeats, shots
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import brdf, count_rates
 from gonio.lab.rig import Frame
@@ -55,7 +55,7 @@ def test_the_picture_before_is_known_while_it_is_measured(measure: Measure, tmp_
 def test_an_older_picture_is_found_among_the_frames(measure: Measure, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     """A buffer of several pictures: none is the one before. The check names the step, and it is taken again."""
     whole = brdf.reduce(measure("other"))
-    monkeypatch.setattr(session, "cannot_be_alike", lambda *args: False)
+    monkeypatch.setattr(shots, "cannot_be_alike", lambda *args: False)
     run = measure(rig=Plugin(options={"at": at, "back": 1}, kind=Stuck))
     with pytest.raises(DataError, match=rf"again under a new header in steps? .*\b{at}\b"):
         brdf.reduce(Run.open(run.path))
