@@ -13,7 +13,8 @@ demo: .venv/.ready
 # a test is slow where it takes more than two seconds: campaigns, driver tests that wait, notebooks, the site
 # Tests of a module run in one process: what they share, some of it a minute's work, is made once.
 # Three on two processors: tests of drivers, pages and killed programs wait half of their time.
-PYTEST = $(BIN)/python -m pytest -q -n 3 --dist loadfile
+# Modules run in the order of tests/conftest.py, those with slow tests first.
+PYTEST = $(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
 test: .venv/.ready
 	$(PYTEST) -m "not slow and not portable"
 	@echo "The slow tests were left out: make test-all runs every one."

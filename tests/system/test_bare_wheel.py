@@ -31,7 +31,7 @@ def gonio(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (wheel,) = here.glob("gonio-*.whl")
     run(sys.executable, "-m", "venv", here / "env", check=True)
     python = here / "env" / "bin" / "python"
-    run(python, *pip[1:], "install", "-c", ROOT / "constraints.txt", wheel, check=True)
+    run(python, *pip[1:], "install", "--no-compile", "-c", ROOT / "constraints.txt", wheel, check=True)
     (site,) = (here / "env").glob("lib/python*/site-packages")
     for names in plugins.ROOMS.values():
         for package in names.values():
