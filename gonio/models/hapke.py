@@ -2,17 +2,82 @@
 
 import math
 from dataclasses import dataclass
+from math import pi, sqrt
 from typing import ClassVar
 
-import numpy as np
-
-from gonio.models.arrays import GRAZING, ArrayModel
+from gonio.models._compile import device
+from gonio.models._math import HALF_PI, atan_over, exp, log
+from gonio.models.arrays import GRAZING
+from gonio.models.engine import Constants, Kernel
+from gonio.models.model import Model
 from gonio.models.parameters import parameter
-from gonio.typing import Floats
+
+
+@device
+def several(x, w, gamma, newer):  # type: ignore[no-untyped-def]
+    """H - 1: of 1981, or where `newer` is 1 that of 2002."""
+    r0 = w / ((1.0 + gamma) * (1.0 + gamma))
+    lit = w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * log(1.0 + 1.0 / x)) if newer > 0.0 else 0.0
+    return lit / (1.0 - lit) if newer > 0.0 else 2.0 * x * w / (1.0 + gamma) / (1.0 + 2.0 * x * gamma)
+
+
+@device
+def scattered(lx, ly, lz, vx, vy, vz, mu_i, mu_r, shade, p):  # type: ignore[no-untyped-def]
+    """r/mu_0 with effective cosines, `shade` being S/(mu_0 mu_e)."""
+    w, gamma, newer, per_h, b0, b, _, _ = p
+    x, y, z = lx - vx, ly - vy, lz - vz
+    apart = x * x + y * y + z * z
+    x, y, z = lx + vx, ly + vy, lz + vz
+    beside = x * x + y * y + z * z
+    half = sqrt(apart / max(beside, 1e-30))  # tan(g/2)
+    lobe = 1.0 - abs(b) + 0.5 * abs(b) * (apart if b < 0.0 else beside)  # 1 + b cos(g)
+    one, other = several(mu_i, w, gamma, newer), several(mu_r, w, gamma, newer)
+    braces = (1.0 + b0 / (1.0 + half * per_h)) * lobe + one + other + one * other
+    return w / (4.0 * pi) * mu_i * mu_r / (mu_i + mu_r) * braces * shade
+
+
+@device
+def smooth(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """Without macroscopic roughness."""
+    ci, cr = max(lz, GRAZING), max(vz, GRAZING)
+    return scattered(lx, ly, lz, vx, vy, vz, ci, cr, 1.0 / (ci * cr), p)
+
+
+@device
+def alone(c, s, tan, chi):  # type: ignore[no-untyped-def]
+    """Of one direction: E_1, E_2, and its effective cosine where nothing hides the other direction (eqs. 46 to 50)."""
+    cot = c / max(s, 1e-30) / tan
+    e1, e2 = exp(-2.0 / pi * cot), exp(-(cot * cot) / pi)
+    return e1, e2, chi * (c + s * tan * e2 / (2.0 - e1))
+
+
+@device
+def rough(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """With effective cosines and a shadowing that exchanging both directions leaves as they are [Hapke1984]."""
+    tan, chi = p[6], p[7]
+    ci, cr = max(lz, GRAZING), max(vz, GRAZING)
+    si, sr = sqrt(lx * lx + ly * ly), sqrt(vx * vx + vy * vy)
+    along, across = lx * vx + ly * vy, abs(lx * vy - ly * vx)
+    size = max(sqrt(along * along + across * across), 1e-300)
+    beyond = along < 0.0  # more than a right angle of azimuth, psi
+    t = across / (size + abs(along))  # tan of half of psi, or of half of pi - psi
+    half_angle = t * atan_over(t * t)
+    psi = 2.0 * (HALF_PI - half_angle if beyond else half_angle)
+    turn = (1.0 if beyond else t * t) / (1.0 + t * t)  # sin^2(psi/2)
+    f = exp(-2.0 / max(t, 1e-300)) if beyond else exp(-2.0 * t)
+    c1, c2 = max(ci, cr), min(ci, cr)
+    s1, s2 = (si, sr) if ci >= cr else (sr, si)
+    a1, b1, n1 = alone(c1, s1, tan, chi)
+    a2, b2, n2 = alone(c2, s2, tan, chi)
+    down = 2.0 - a2 - psi / pi * a1
+    m1 = chi * (c1 + s1 * tan * ((1.0 - 2.0 * turn) * b2 + turn * b1) / down)
+    m2 = chi * (c2 + s2 * tan * (b2 - turn * b1) / down)
+    shade = chi / (n1 * n2 * (1.0 - f + f * chi * c1 / n1))
+    return scattered(lx, ly, lz, vx, vy, vz, m1, m2, shade, p)
 
 
 @dataclass(frozen=True, repr=False)
-class Hapke(ArrayModel):
+class Hapke(Model):
     """Single scattering with its opposition effect and isotropic multiple scattering: brdf = r / mu_0 [1/sr].
 
     r = w/(4 pi) mu_0/(mu_0 + mu) ((1 + B(g)) P(g) + H(mu_0) H(mu) - 1) S, with B = b0 / (1 + tan(g/2)/h) and P = 1 + b
@@ -53,43 +118,9 @@ class Hapke(ArrayModel):
     def convention(self) -> str:
         return f"Hapke's r/mu_0 with H of {self.h_function}, P = 1 + b cos g, and roughness by Hapke 1984."
 
-    def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
-        cos_i, cos_r = (np.maximum(x[:, 2], GRAZING) for x in (omega_i, omega_r))
-        apart, beside = (np.sum(v * v, axis=1) for v in (omega_i - omega_r, omega_i + omega_r))
-        half = np.sqrt(apart / np.maximum(beside, 1e-30))  # tan(g/2)
-        mu_i, mu_r, shade = self._rough(cos_i, cos_r, omega_i, omega_r)
-        lobe = 1.0 - abs(self.b) + 0.5 * abs(self.b) * (apart if self.b < 0.0 else beside)  # 1 + b cos(g)
-        one, other = self._several(mu_i), self._several(mu_r)
-        braces = (1.0 + self.b0 / (1.0 + half / self.h)) * lobe + one + other + one * other
-        return np.asarray(self.w / (4.0 * math.pi) * mu_i * mu_r / (mu_i + mu_r) * braces * shade)
-
-    def _several(self, x: Floats) -> Floats:
-        """H - 1."""
-        gamma = math.sqrt(1.0 - self.w)
-        r0 = self.w / (1.0 + gamma) ** 2
-        if self.h_function == "1981":
-            return np.asarray(2.0 * x * self.w / (1.0 + gamma) / (1.0 + 2.0 * x * gamma))
-        lit = self.w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * np.log1p(1.0 / x))
-        return np.asarray(lit / (1.0 - lit))
-
-    def _rough(self, ci: Floats, cr: Floats, omega_i: Floats, omega_r: Floats) -> tuple[Floats, Floats, Floats]:
-        """Effective cosines, and S/(mu_0 mu_e), which exchanging both directions leaves as it is (eqs. 46 to 50)."""
-        tan = math.tan(math.radians(self.theta_bar_deg))
-        if tan < 1e-9:
-            return ci, cr, 1.0 / (ci * cr)
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        gamma, tan = math.sqrt(1.0 - self.w), math.tan(math.radians(self.theta_bar_deg))
         chi = 1.0 / math.sqrt(1.0 + math.pi * tan * tan)
-        (x, y, _), (u, v, _) = omega_i.T, omega_r.T
-        psi, si, sr = np.abs(np.arctan2(x * v - y * u, x * u + y * v)), np.hypot(x, y), np.hypot(u, v)
-        source = ci >= cr  # which of both has the smaller angle
-        c1, c2 = np.where(source, ci, cr), np.where(source, cr, ci)
-        s1, s2 = np.where(source, si, sr), np.where(source, sr, si)
-        cot1, cot2 = (c / np.maximum(s, 1e-30) / tan for c, s in ((c1, s1), (c2, s2)))
-        a1, a2 = np.exp(-2.0 / math.pi * cot1), np.exp(-2.0 / math.pi * cot2)  # E_1
-        b1, b2 = np.exp(-(cot1**2) / math.pi), np.exp(-(cot2**2) / math.pi)  # E_2
-        turn, down = np.sin(0.5 * psi) ** 2, 2.0 - a2 - psi / math.pi * a1
-        m1 = chi * (c1 + s1 * tan * (np.cos(psi) * b2 + turn * b1) / down)
-        m2 = chi * (c2 + s2 * tan * (b2 - turn * b1) / down)
-        n1, n2 = (chi * (c + s * tan * b / (2.0 - a)) for c, s, a, b in ((c1, s1, a1, b1), (c2, s2, a2, b2)))
-        f = np.exp(-2.0 * np.tan(0.5 * psi))
-        shade = chi / (n1 * n2 * (1.0 - f + f * chi * c1 / n1))
-        return np.where(source, m1, m2), np.where(source, m2, m1), shade
+        newer = 1.0 if self.h_function == "2002" else 0.0
+        constants = (self.w, gamma, newer, 1.0 / self.h, self.b0, self.b, tan, chi)
+        return smooth if tan < 1e-9 else rough, constants

@@ -2,13 +2,18 @@
 
 import math
 from dataclasses import dataclass
+from math import sqrt
 from typing import Any, ClassVar
 
 import numpy as np
 
 from gonio.geometry import PARALLEL, Directions
-from gonio.models.arrays import ArrayModel
+from gonio.models._compile import device
+from gonio.models._facets import index_constants
+from gonio.models._math import _LOG2_E, exp2, log
+from gonio.models.engine import Constants, Kernel
 from gonio.models.fresnel import reflectance
+from gonio.models.model import Model
 from gonio.models.parameters import INDEX, Declaration, Ior, Levels, Values, index_at, optical, parameter, plain
 from gonio.typing import Floats, NDArray
 
@@ -16,8 +21,49 @@ ROUGH = 0.1
 """Total integrated scatter above which the first order of the smooth-surface theory does not do."""
 
 
+@device
+def root_parts(z2, epsilon, loss):  # type: ignore[no-untyped-def]
+    """Real and imaginary part of sqrt(epsilon + i loss - sin^2) at cos^2 = z2, with loss at least 0."""
+    real = epsilon - 1.0 + z2
+    size = sqrt(real * real + loss * loss)
+    larger = sqrt(0.5 * (size + abs(real)))
+    smaller = 0.5 * loss / max(larger, 1e-300)
+    return (larger, smaller) if real >= 0.0 else (smaller, larger)
+
+
+@device
+def square(x, y):  # type: ignore[no-untyped-def]
+    """|x + iy|^2."""
+    return x * x + y * y
+
+
+@device
+def first_order(lx, ly, lz, vx, vy, vz, p):  # type: ignore[no-untyped-def]
+    """cos_i cos_r times the spectrum times the sum of the four amplitudes' squares (`_amplitudes`), as `p` weighs them.
+
+    Each is over |s|^2 or |p|^2 of both directions; all four are brought to one denominator.
+    """
+    level, per_um2, half_slope, epsilon, loss, beyond = p
+    si2, sr2, along, across = lx * lx + ly * ly, vx * vx + vy * vy, lx * vx + ly * vy, lx * vy - ly * vx
+    any_azimuth = min(si2, sr2) < beyond
+    flat2 = max(si2 * sr2, 1e-300)
+    flat = sqrt(flat2)
+    cos_p = 1.0 if any_azimuth else -along / flat
+    sin2_p = 0.0 if any_azimuth else across * across / flat2
+    a, b = root_parts(lz * lz, epsilon, loss)
+    c, d = root_parts(vz * vz, epsilon, loss)
+    s_i, s_r = square(lz + a, b), square(vz + c, d)
+    p_i, p_r = square(epsilon * lz + a, loss * lz + b), square(epsilon * vz + c, loss * vz + d)
+    both = sqrt(si2) * sqrt(sr2)
+    pp = square((a * c - b * d) * cos_p - epsilon * both, (a * d + b * c) * cos_p - loss * both)
+    mixed = sin2_p * (square(c, d) * p_i * s_r + square(a, b) * s_i * p_r)
+    amplitudes = (cos_p * cos_p * p_i * p_r + mixed + pp * s_i * s_r) / (s_i * s_r) / (p_i * p_r)
+    spectrum = exp2(half_slope * _LOG2_E * log(1.0 + per_um2 * square(lx + vx, ly + vy)))
+    return level * lz * vz * spectrum * amplitudes
+
+
 @dataclass(frozen=True, repr=False)
-class KCorrelation(ArrayModel):
+class KCorrelation(Model):
     """First-order scatter of a polished surface [1/sr]: (16 pi^2/lambda^4) cos_i cos_r Q S, beside its specular beam.
 
     S = sigma^2 (c - 1) B^2/(2 pi) / (1 + (B f)^2)^((c + 1)/2) [um^4] of the spatial frequency f, of integral sigma^2.
@@ -94,8 +140,13 @@ class KCorrelation(ArrayModel):
         """Total integrated scatter at normal incidence over all that is reflected: (4 pi sigma_rel/lambda)^2."""
         return (4.0 * math.pi * self.sigma_rel_um(wavelength_nm) * 1e3 / wavelength_nm) ** 2
 
-    def evaluate(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
-        return np.asarray(0.5 * self.polarised(omega_i, omega_r, wavelength_nm).sum(axis=0))
+    def _evaluation(self, wavelength_nm: float) -> tuple[Kernel, Constants]:
+        um, index = 1e-3 * wavelength_nm, index_at(self.ior, wavelength_nm)
+        contrast, epsilon, loss = index_constants(index.real, index.imag)
+        level = 4.0 * math.pi / um**4 * self.sigma_um**2 * (self.c - 1.0) * self.b_um**2 * contrast
+        slope = -0.5 * (self.c + 1.0)
+        constants = (level, (self.b_um / um) ** 2, slope, epsilon + 1.0, 2.0 * loss, PARALLEL**2)
+        return first_order, constants
 
     def polarised(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
         """BRDF [1/sr] of ss, sp, ps and pp (4, n): the first letter is that of the source."""
