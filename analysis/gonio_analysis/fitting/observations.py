@@ -301,12 +301,14 @@ def observations(
         Not one row is usable; the message says why. `u_rel` is no such number.
     """
     check_u_rel(u_rel)
-    table = measurement.every_state(table) if polarised else measurement.unpolarised(table)
+    told = measurement.every_state(table) if polarised else measurement.unpolarised(table)
+    table = told.copy(deep=False)
+    table.attrs = {}  # which each access to a column would copy
     directions = Directions.from_table(table)
     brdf, wavelength = (table[name].to_numpy(np.float64) for name in ("brdf", "wavelength_nm"))
     why, reasons = _why_left_out(table, directions, brdf, polarised)
     known, stated, seen = _stated(table, brdf, why == 0)
-    notes = of_reader(table)
+    notes = of_reader(told)
     if stated[why == 0].any() and (lacking := (why == 0) & ~stated).any():
         why[lacking] = len(reasons)
         reasons.append("without an uncertainty")
@@ -335,7 +337,7 @@ def observations(
         notes.append(UNSTATED)
     if TRANSMISSION in omitted:
         notes.append(f"{omitted[TRANSMISSION].size} rows are transmission: left out, models here describe reflection.")
-    source, receiver = (_solid_angle(table.attrs, which) for which in ("source", "receiver"))
+    source, receiver = (_solid_angle(told.attrs, which) for which in ("source", "receiver"))
     if unknown := " and of the ".join(["source"] * (source is None) + ["receiver"] * (receiver is None)):
         notes.append(f"The solid angle of the {unknown} is unknown: models are evaluated for a single direction there.")
     return Observations(
@@ -350,9 +352,9 @@ def observations(
         unused=unused,
         notes=tuple(notes),
         u_rel_assumed=u_rel,
-        of_channels=is_joined(table),
-        polarisers=polarisation.Polarisers.of(table.attrs),
-        **_of_angles(table, keep),
+        of_channels=is_joined(told),
+        polarisers=polarisation.Polarisers.of(told.attrs),
+        **_of_angles(told, keep),
         states=_states(table["polarisation"].to_numpy(object)[keep]),
         first=_first(
             table[measurement.FIRST].to_numpy(np.float64)[keep] if measurement.FIRST in table else np.zeros(0)
