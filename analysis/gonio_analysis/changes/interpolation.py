@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -272,15 +271,50 @@ def _off_logarithms(values: Floats, weights: Floats) -> Floats:
     return np.where(positive, (weights * values).sum(axis=1) - np.exp((weights * logs).sum(axis=1)), 0.0)
 
 
+@dataclass(frozen=True)
+class _Mesh:
+    """A triangulation of places in the plane."""
+
+    points: Floats
+    corners: npt.NDArray[np.int32]
+    """(m, 3) nodes of each triangle."""
+    beside: npt.NDArray[np.int32]
+    """(m, 3) the triangle across from each corner; -1 where there is none."""
+    first: npt.NDArray[np.int32]
+    """(n,) a triangle at each node; -1 where it has none."""
+    start: npt.NDArray[np.int32]
+    near: npt.NDArray[np.int32]
+    """Neighbours of node k: `near[start[k] : start[k + 1]]`."""
+
+
+_meshes: dict[bytes, _Mesh] = {}
+"""Those that were used last, of `MOST_KEPT` places: carrying back and slopes ask for them again."""
+
+
+def _mesh(points: Floats) -> _Mesh:
+    """The Delaunay triangulation of places (n, 2); raises `scipy.spatial.QhullError` where there is none."""
+    from scipy.spatial import Delaunay
+
+    key = hashlib.blake2b(np.ascontiguousarray(points).data, digest_size=16).digest()
+    found = _meshes.pop(key, None)
+    if found is None:
+        made = Delaunay(points)
+        found = _Mesh(points, made.simplices, made.neighbors, made.vertex_to_simplex, *made.vertex_neighbor_vertices)
+    _meshes[key] = found
+    while len(_meshes) > 1 and sum(len(one.points) for one in _meshes.values()) > MOST_KEPT:
+        del _meshes[next(iter(_meshes))]
+    return found
+
+
 def _across(goal: Places, known: Places, holes: Places, rows: Ints) -> _Across | None:
-    from scipy.spatial import Delaunay, QhullError
+    from scipy.spatial import QhullError
 
     flat = known.points[:, :2]
     try:
-        mesh = Delaunay(flat)
+        mesh = _mesh(flat)
     except QhullError:  # all on one line, or too few
         return None
-    corner = mesh.simplices
+    corner = mesh.corners
     edges = np.linalg.norm(known.points[corner] - known.points[np.roll(corner, 1, axis=1)], axis=2).max(axis=1)
     closed = edges > FARTHEST
     turn = _turns(flat[corner])
@@ -306,7 +340,7 @@ def _turns(corners: Floats) -> Floats:
     return np.asarray(np.moveaxis(np.array([[d, -c], [-b, a]]) / area, -1, 0))
 
 
-def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Ints, Floats]:
+def _located(mesh: _Mesh, turn: Floats, points: Floats) -> tuple[Ints, Floats]:
     """The triangle around each point (-1: outside all), and the weights of its corners.
 
     By walking across the edge that a point lies farthest beyond, from a triangle at the nearest node. In a Delaunay
@@ -314,13 +348,13 @@ def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Ints, Floats]:
     """
     from scipy.spatial import KDTree
 
-    flat, corner = mesh.points, mesh.simplices
+    flat, corner = mesh.points, mesh.corners
 
     def weights(points: Floats, triangle: Ints) -> Floats:
         part = np.einsum("...ij,...j->...i", turn[triangle], points - flat[corner[triangle, 2]])
         return np.concatenate([part, 1 - part.sum(axis=-1, keepdims=True)], axis=-1)
 
-    found = mesh.vertex_to_simplex[KDTree(flat).query(points)[1]].astype(np.intp)
+    found = mesh.first[KDTree(flat).query(points)[1]].astype(np.intp)
     moving, stuck = np.flatnonzero(found >= 0), np.flatnonzero(found < 0)
     for _ in range(len(corner)):
         if not moving.size:
@@ -330,7 +364,7 @@ def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Ints, Floats]:
         stuck = np.concatenate([stuck, moving[flat_one]])
         out = ~flat_one & (part.min(axis=1) < -ON_EDGE)
         moving, part = moving[out], part[out]
-        found[moving] = mesh.neighbors[found[moving], part.argmin(axis=1)]
+        found[moving] = mesh.beside[found[moving], part.argmin(axis=1)]
         moving = moving[found[moving] >= 0]
     every = np.arange(len(corner))
     for k in np.concatenate([stuck, moving]):
@@ -339,11 +373,15 @@ def _located(mesh: Any, turn: Floats, points: Floats) -> tuple[Ints, Floats]:
     return found, weights(points, found)
 
 
-def _gradients(mesh: Any, flat: Floats) -> tuple[Ints, Ints, Floats]:
+def _gradients(mesh: _Mesh, flat: Floats) -> tuple[Ints, Ints, Floats]:
     """The edges of a triangulation, and the gradient at their first node, by least squares, for a rise of 1 on each."""
-    start, near = mesh.vertex_neighbor_vertices
-    own = np.repeat(np.arange(len(flat)), np.diff(start))
-    step = flat[near] - flat[own]
-    square = np.zeros((len(flat), 2, 2))
-    np.add.at(square, own, step[:, :, None] * step[:, None, :])
-    return own, near, np.asarray(np.einsum("nij,nj->ni", np.linalg.pinv(square)[own], step))
+    own, n = np.repeat(np.arange(len(flat)), np.diff(mesh.start)), len(flat)
+    x, y = (flat[mesh.near] - flat[own]).T
+    xx, xy, yy = (np.bincount(own, part, n) for part in (x * x, x * y, y * y))
+    size, area = xx + yy, xx * yy - xy * xy
+    flat_one = ~(area > 1e-10 * size * size)  # neighbours on a line: the inverse of what there is
+    inverse = np.array([yy, -xy, xx]) / np.where(flat_one, 1.0, area)
+    for k in np.flatnonzero(flat_one):
+        inverse[:, k] = np.linalg.pinv(np.array([[xx[k], xy[k]], [xy[k], yy[k]]])).ravel()[[0, 1, 3]]
+    a, b, c = inverse[:, own]
+    return own, mesh.near.astype(np.intp), np.stack([a * x + b * y, b * x + c * y], axis=1)

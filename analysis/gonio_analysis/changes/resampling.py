@@ -127,7 +127,8 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Interpolat
         gone = rows_unused.at(wave_b)
         incidences = [_incidence(b, rows) for rows in pool]
         for group in groups(a.directions.theta_i, a.directions.phi_i, here_a):
-            off = [float(np.linalg.norm(one - _incidence(a, group))) for one in incidences]
+            own = _incidence(a, group)
+            off = [float(np.linalg.norm(one - own)) for one in incidences]
             if not off or min(off) > SAME_ANGLE:
                 missing["at another incidence"] = missing.get("at another incidence", 0) + group.size
                 continue

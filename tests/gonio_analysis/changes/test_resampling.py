@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.spatial
+from gonio_analysis.changes import interpolation
 from gonio_analysis.changes.interpolation import _located, _turns
 from gonio_analysis.changes.resampling import AT_ONCE, carry, common_wavelengths, turned_in_plane
 from gonio_analysis.fitting.observations import observations
@@ -57,7 +58,7 @@ def test_points_are_located_in_a_triangulation_as_scipy_locates_them() -> None:
     for nodes in (grid, rng.normal(size=(150, 2)), np.vstack([flat, [[3.0, 5.0], [4.0, -6.0]]])):
         mesh = scipy.spatial.Delaunay(nodes)
         goals = rng.uniform(nodes.min(axis=0) - 0.5, nodes.max(axis=0) + 0.5, size=(400, 2))
-        found, weights = _located(mesh, _turns(nodes[mesh.simplices]), goals)
+        found, weights = _located(interpolation._mesh(nodes), _turns(nodes[mesh.simplices]), goals)
         inside = found >= 0
         assert np.array_equal(inside, mesh.find_simplex(goals) >= 0)
         assert weights[inside].min() > -1e-9
@@ -149,3 +150,23 @@ def test_a_curve_without_an_edge_is_taken_for_one_without() -> None:
     goal = observations(measure(lobe, noise=2e-3, floor=1e-9, views=views, seed=1))
     found = carry(goal, observations(measure(lobe, noise=2e-3, floor=1e-9, seed=2)))
     assert np.mean(found.relative_error > 2e-3) < 0.05
+
+
+def test_gradients_are_those_of_least_squares_also_where_neighbours_lie_on_a_line() -> None:
+    rng = np.random.default_rng(4)
+    points = rng.uniform(size=(40, 2))
+    mesh = interpolation._mesh(points)
+    assert interpolation._mesh(points.copy()) is mesh  # what was triangulated is not again
+    line = interpolation._Mesh(
+        np.array([[0.0, 0.0], [1.0, 2.0], [2.0, 4.0]]),
+        *(np.zeros((0, 3), np.int32),) * 2,
+        np.full(3, -1, np.int32),
+        np.array([0, 1, 3, 4], np.int32),
+        np.array([1, 0, 2, 1], np.int32),
+    )
+    for one in (mesh, line):
+        own, near, fit = interpolation._gradients(one, one.points)
+        for node in range(len(one.points)):
+            step = (one.points[near] - one.points[own])[own == node]
+            # the inverse of two by two numbers against that by singular values: their rounding, times the condition
+            assert pytest.approx(np.linalg.pinv(step), rel=1e-9, abs=1e-12) == fit[own == node].T
