@@ -135,12 +135,11 @@ class GenICamCamera:
     def expose(self, exposure_s: float) -> Exposed:
         """The same once the camera says that the exposure is over; of one that does not, with its frame."""
         begun = self._begun(exposure_s)
-        if self._tells and begun.over():
-            return begun
-        if self._tells:
+        over = begun.over() if self._tells else None
+        if self._tells and over is None:
             self._tells = False
             log.warning("the %s says it could tell when an exposure is over, and does not: moves wait", self._who)
-        return Arrived(begun.result())
+        return over or Arrived(begun.result())
 
     # ---- inside ----
 
@@ -192,17 +191,33 @@ class GenICamCamera:
                 if buffer is None:  # the time is over, or it had parts missing
                     incomplete += arrived < end
                     continue
-                try:
-                    if arrived - exposure_s < begun:
-                        continue
-                    mosaic = self._mosaic(buffer)
-                finally:
-                    buffer.parent.queue_buffer(buffer)
-                camera = self._description
-                levels = camera.black_level_dn, camera.white_level_dn
-                return Frame(mosaic, exposure_s, *levels, camera.pattern, time_s=begun)
+                frame = self._framed(buffer, arrived, exposure_s, begun)
+                if frame is not None:
+                    return frame
         finally:
             self._camera.stop()
+
+    def early(self, exposure_s: float, begun: float) -> tuple[bool, Frame | None]:
+        """Whether a buffer came in a moment, and its frame: none of one that had waited, which is thrown away."""
+        buffer = self._camera.try_fetch(timeout=LOOK_S, is_raw=True)
+        if buffer is None:
+            return False, None
+        frame = self._framed(buffer, clock.monotonic(), exposure_s, begun)
+        if frame is not None:
+            self._camera.stop()
+        return True, frame
+
+    def _framed(self, buffer: Any, arrived: float, exposure_s: float, begun: float) -> Frame | None:
+        """The frame of a buffer, if it came late enough to have begun after the call."""
+        try:
+            if arrived - exposure_s < begun:
+                return None
+            mosaic = self._mosaic(buffer)
+        finally:
+            buffer.parent.queue_buffer(buffer)
+        camera = self._description
+        levels = camera.black_level_dn, camera.white_level_dn
+        return Frame(mosaic, exposure_s, *levels, camera.pattern, time_s=begun)
 
     def _may_tell(self) -> bool:
         """Whether the camera has what `_tells` needs."""
@@ -351,15 +366,23 @@ class Exposure:
     before: int | None
     """When the last exposure before it was over, as the camera says."""
 
-    def over(self) -> bool:
-        """Wait until the camera says that it is over; False where it does not in time."""
+    def over(self) -> Exposed | None:
+        """Wait until the camera says that it is over; None where it does not in time.
+
+        Buffers from before are thrown away meanwhile: afterwards the time at which one is looked at tells nothing.
+        """
+        camera, came = self.camera, True
         while clock.monotonic() < self.end:
-            with self.camera.named_failures():
-                told = self.camera.ended()
-            if told not in (None, self.before) and clock.monotonic() >= self.begun + self.exposure_s:
-                return True
-            clock.sleep(LOOK_S)
-        return False
+            with camera.named_failures():
+                if came or clock.monotonic() < self.begun + self.exposure_s:
+                    came, frame = camera.early(self.exposure_s, self.begun)
+                    if frame is not None:
+                        return Arrived(frame)
+                elif camera.ended() not in (None, self.before):
+                    return self
+                else:
+                    clock.sleep(LOOK_S)
+        return None
 
     def done(self) -> bool:
         """Nobody looks for the frame before it is asked for."""

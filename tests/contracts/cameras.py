@@ -11,11 +11,12 @@ import pytest
 from gonio_drivers.cameras import build
 from gonio_sim.wire.uvc import VideoStandIn
 
-from gonio.lab.rig import CameraDevice, LightDevice
+from gonio.lab.rig import CameraDevice, LightDevice, clock
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band, Bands, Camera
+from tests.gonio_drivers.ticking import ticking
 
-NAMES = ("sequence", "uvc", "genicam")
+NAMES = ("sequence", "uvc", "genicam", "genicam-event")
 DESCRIPTION = RigDescription(
     rig="lab",
     name="bench",
@@ -58,7 +59,8 @@ def switch(light: LightDevice) -> Callable[[bool], None]:
 
 def opened(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
     """A camera of the laboratory, without a laboratory."""
-    yield from {"sequence": sequence, "uvc": uvc, "genicam": genicam}[name](folder, monkeypatch)
+    kinds = {"sequence": sequence, "uvc": uvc, "genicam": genicam, "genicam-event": genicam_event}
+    yield from kinds[name](folder, monkeypatch)
 
 
 def sequence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
@@ -90,13 +92,21 @@ def uvc(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
         yield Eye(camera, DESCRIPTION, time.monotonic, lamp)
 
 
-def genicam(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
+def genicam_event(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
+    """The same, which says when an exposure is over."""
+    yield from genicam(folder, monkeypatch, tells=True)
+
+
+def genicam(folder: Path, monkeypatch: pytest.MonkeyPatch, *, tells: bool = False) -> Iterator[Eye]:
     """The twin of a GenICam camera behind harvesters: a frame from before waits whenever the lamp is switched."""
     core = pytest.importorskip("harvesters.core", reason="harvesters is not installed (the extra genicam)")
-    from gonio_sim.wire.genicam import GenICamTwin
+    from gonio_sim.wire.genicam import FORMATS, GenICamTwin, described
 
     lit = False
-    twin = GenICamTwin(lambda exposure_s: np.full(SIZE, 16 * (LIT if lit else DARK), np.uint16))
+    seen, later = described(tuple(FORMATS), tells=tells), ticking(monkeypatch)
+    twin = GenICamTwin(
+        lambda exposure_s: np.full(SIZE, 16 * (LIT if lit else DARK), np.uint16), seen, readout_s=0.02, later=later
+    )
     producer = folder / "maker.cti"
     producer.touch()
 
@@ -107,4 +117,4 @@ def genicam(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye]:
 
     monkeypatch.setattr(core, "Harvester", twin)
     with build(DESCRIPTION, {"driver": "genicam", "producer": str(producer)}) as camera:
-        yield Eye(camera, DESCRIPTION, time.monotonic, lamp)
+        yield Eye(camera, DESCRIPTION, clock.monotonic, lamp)

@@ -110,9 +110,9 @@ def named(choice: str, sample: str | None) -> Case:
 
 
 def simulated(name: str) -> Case:
-    plugin = {"sim": SIM, "sim-ideal": SIM_IDEAL}[name]
+    plugin = {"sim": SIM, "sim-slow": SIM, "sim-ideal": SIM_IDEAL}[name]
     tables = tomllib.loads(plugin.toml)
-    tables["camera"] |= SMALL
+    tables["camera"] |= SMALL | ({"readout_s": 2.0} if name == "sim-slow" else {})
     if name == "sim":
         tables["polarisers"] = {"light": {"empty": True}, "receiver": {"retarder": True}}
 
@@ -141,6 +141,8 @@ def twins(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     described = with_polarisers() if name == "lab-mightex" else small()
     devices = described.devices | {"light": described.devices["light"] | {"dialect": name.partition("-")[2]}}
     described = described.model_copy(update={"devices": devices})
+    if name == "lab-mightex":  # a camera that says when an exposure is over
+        described = described.model_copy(update={"camera": described.camera.model_copy(update={"readout_s": 0.5})})
     with (
         contextlib.nullcontext() if real else virtual_time(monkeypatch),
         Twins(described, SAMPLE, 3, folder=folder / "twin", scale=50.0) as bench,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gonio.errors import ConfigError
-from gonio.lab.rig import Frame
+from gonio.lab.rig import Exposes, Frame
 from tests.contracts.cameras import Eye
 
 AS_ASKED = 0.05
@@ -55,3 +55,21 @@ def test_an_exposure_outside_the_limits_is_refused(eye: Eye, end: int) -> None:
     beyond = eye.description.camera.exposure_limits_s[end] * (0.5, 2.0)[end]
     with pytest.raises(ConfigError, match="exposure"):
         eye.camera.capture(beyond)
+
+
+@pytest.mark.slow
+def test_what_goes_dark_after_an_exposure_is_over_was_lit_on_its_frame(eye: Eye) -> None:
+    """So the arms may move, too; and the next frame is a new one."""
+    if eye.lamp is None or not isinstance(eye.camera, Exposes):
+        pytest.skip("it sees no lamp, or does not say when an exposure is over")
+    dark = level(eye.camera.capture(eye.exposure_s))
+    eye.lamp(True)
+    lit = level(eye.camera.capture(eye.exposure_s))
+    exposed = eye.camera.expose(eye.exposure_s)
+    eye.lamp(False)
+    frame = exposed.result()
+    assert frame.exposure_s == pytest.approx(eye.exposure_s, rel=AS_ASKED)
+    assert abs(level(frame) - lit) < 0.1 * (lit - dark)
+    again = eye.camera.capture(eye.exposure_s)
+    assert abs(level(again) - dark) < 0.1 * (lit - dark)
+    assert again.time_s > frame.time_s

@@ -3,7 +3,7 @@
 import shutil
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from gonio.lab.rig import Exposed, Exposes, Frame
 from gonio.lab.rig.dng import write_dng
 from tests.gonio_drivers.test_cameras import DESCRIPTION, PATIENCE_S, number, plain
 from tests.gonio_drivers.test_genicam import EXPOSURE_S, rig
+from tests.gonio_drivers.ticking import ticking
 
 # ---- a release box, and a folder ----
 
@@ -177,6 +178,8 @@ def test_a_camera_that_cannot_tell_gives_its_frame_at_once(tmp_path: Path) -> No
 class Sight:
     """What the sensor sees: one value, which the test changes."""
 
+    later: Callable[[float, Callable[[], None]], None]
+
     def __init__(self) -> None:
         self.value = 100
 
@@ -185,8 +188,10 @@ class Sight:
 
 
 @pytest.fixture
-def sight() -> Sight:
-    return Sight()
+def sight(monkeypatch: pytest.MonkeyPatch) -> Sight:
+    out = Sight()
+    out.later = ticking(monkeypatch)
+    return out
 
 
 def genicam(twin: GenICamTwin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **keys: Any) -> OpenableCamera:
@@ -196,11 +201,17 @@ def genicam(twin: GenICamTwin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     return cameras.build(rig(), {"driver": "genicam", "producer": str(tmp_path / "maker.cti"), **keys})
 
 
-def test_a_genicam_camera_tells_by_its_event(tmp_path: Path, sight: Sight, monkeypatch: pytest.MonkeyPatch) -> None:
-    twin = GenICamTwin(sight, described(("Mono12",), tells=True), readout_s=0.05)
+@pytest.mark.parametrize("stale", [0, 2])
+def test_a_genicam_camera_tells_by_its_event(
+    stale: int, tmp_path: Path, sight: Sight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames that had waited in its queue are thrown away while it is exposed, and not found afterwards."""
+    twin = GenICamTwin(sight, described(("Mono12",), tells=True), readout_s=0.05, stale=stale, later=sight.later)
     with genicam(twin, tmp_path, monkeypatch) as camera:
         assert isinstance(camera, Exposes)
         for value in (100, 200, 300):
+            sight.value = value + 1
+            twin.fall_behind()
             sight.value = value
             exposed = camera.expose(EXPOSURE_S)
             assert not exposed.done()
@@ -218,7 +229,7 @@ def test_a_genicam_camera_of_which_it_is_not_sure_is_waited_for(
     lacks: str, tmp_path: Path, sight: Sight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without = ("AcquisitionMode",) if lacks == "single frames" else ()
-    twin = GenICamTwin(sight, described(("Mono12",), without=without, tells=lacks != "event"))
+    twin = GenICamTwin(sight, described(("Mono12",), without=without, tells=lacks != "event"), later=sight.later)
     if lacks == "global shutter":
         twin.nodes.SensorShutterMode.value = "Rolling"
     with genicam(twin, tmp_path, monkeypatch) as camera:
@@ -231,7 +242,7 @@ def test_a_genicam_camera_of_which_it_is_not_sure_is_waited_for(
 def test_a_genicam_camera_that_does_not_send_its_event_is_named_once(
     tmp_path: Path, sight: Sight, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    twin = GenICamTwin(sight, described(("Mono12",), tells=True), mute=True)
+    twin = GenICamTwin(sight, described(("Mono12",), tells=True), readout_s=0.05, mute=True, later=sight.later)
     with genicam(twin, tmp_path, monkeypatch, timeout_s=0.2) as camera:
         assert isinstance(camera, Exposes)
         for _ in range(2):

@@ -4,6 +4,7 @@ It stands in for `harvesters.core.Harvester`. Frames from before the stream was 
 may come with parts missing, which harvesters throws away.
 """
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ FORMATS = {
     "Mono12p": 0x010C0047, "Mono12Packed": 0x010C0006, "Mono14": 0x01100025, "Mono16": 0x01100007,
 }  # fmt: skip
 """Pixel formats and their numbers (GenICam PFNC)."""
+LOOK_S = 1e-3
 NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
 ENDED = 0x9C43
 """Number of the event "ExposureEnd"."""
@@ -110,6 +112,8 @@ class GenICamTwin:
     """Number of next frames that come with parts missing."""
     readout_s: float = 0.0
     """Of a camera that tells the end of its exposures: how long its frame takes after that [s]."""
+    later: Callable[[float, Callable[[], None]], None] = lambda seconds, what: threading.Timer(seconds, what).start()
+    """Does something after a time [s], where a camera tells."""
     mute: bool = False
     """It does not tell, although it could."""
     silent: bool = False
@@ -126,7 +130,8 @@ class GenICamTwin:
         self._waiting: list[NDArray[np.uint16]] = []
         self._adapter: Any = None
         """Brings events to the node map, where somebody listens."""
-        self._exposing: threading.Timer | None = None
+        self._exposing = False
+        self._shot = np.zeros((0, 0), np.uint16)
         self._ready_s, self._told = 0.0, 0
 
     # ---- Harvester ----
@@ -165,12 +170,13 @@ class GenICamTwin:
         self._queue += [self.see(self.nodes.ExposureTime.value * 1e-6) for _ in range(self.stale)]
         if self._adapter is not None:
             exposure_s = self.nodes.ExposureTime.value * 1e-6
-            self._exposing = threading.Timer(exposure_s, self._over, [exposure_s])
-            self._exposing.start()
+            self._ready_s = math.inf
+            self._exposing = True
+            self.later(exposure_s, lambda: self._over(exposure_s))
 
     def _over(self, exposure_s: float) -> None:
         """The exposure is over: what is seen later is on no frame."""
-        self._queue.append(self.see(exposure_s))
+        self._shot = self.see(exposure_s)
         self._ready_s = clock.monotonic() + self.readout_s
         self._told += 1
         if not self.mute:
@@ -187,11 +193,15 @@ class GenICamTwin:
         if self.silent:
             clock.sleep(timeout)
             return None
-        if self._exposing is not None:
-            self._exposing.join()
-            clock.sleep(max(self._ready_s - clock.monotonic(), 0.0))
         if self._queue:
             image = self._queue.pop(0)
+        elif self._exposing:
+            end = clock.monotonic() + timeout
+            while clock.monotonic() < self._ready_s:
+                if clock.monotonic() >= end:
+                    return None
+                clock.sleep(LOOK_S)
+            image = self._shot
         else:
             exposure_s = self.nodes.ExposureTime.value * 1e-6
             clock.sleep(exposure_s)
@@ -207,7 +217,7 @@ class GenICamTwin:
 
     def stop(self) -> None:
         """Stop the stream."""
-        self.runs, self._exposing = False, None
+        self.runs = self._exposing = False
 
     def destroy(self) -> None:
         """Close the camera."""
