@@ -14,6 +14,7 @@ from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import brdf
 from gonio.lab.rig.description import Acquisition
 from tests.command_line import gonio
+from tests.gonio.lab.acquisition.test_read_out import BESIDE, SlowRig
 from tests.gonio.numpy_rig import PLAN, SAMPLE, Plugin, describe, measured
 
 pytest.importorskip("bluesky", reason="bluesky is not installed (extra bluesky)")
@@ -92,6 +93,15 @@ def test_every_step_and_frame_is_that_of_the_engine(plan: Path, tmp_path: Path) 
         assert row["camera_exposure_s"] == step.frames[-1].exposure_s
         point = whole.points.angles_deg[step.point]
         assert [row["theta_i"], row["phi_i"], row["theta_r"], row["phi_r"]] == point.tolist()
+
+
+def test_no_frame_is_on_its_way_while_a_plan_may_wait(plan: Path, tmp_path: Path) -> None:
+    plugin = Plugin(kind=SlowRig)
+    with measurement(plan, rig=RigChoice(plugin, BESIDE, "numpy"), sample=SAMPLE, out=tmp_path / "B") as m:
+        engine()(list_scan([m.camera], *m.points()))
+        assert m.complete
+    assert not any(step.overlapped for step in Run.open(tmp_path / "B").steps())
+    assert not any(entry.startswith("frame") for entry in plugin.opened[0].log)
 
 
 def test_they_are_what_the_protocols_say(plan: Path, tmp_path: Path) -> None:
