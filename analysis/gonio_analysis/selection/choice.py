@@ -19,7 +19,7 @@ from itertools import groupby
 from gonio.checks.values import SIGNIFICANCE
 from gonio.errors import ConfigError, DataError
 from gonio.models.parameters import Ior, Values
-from gonio.progress import QUIET_S, Say, duration, silent
+from gonio.progress import Say, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
@@ -41,6 +41,7 @@ from gonio_analysis.selection.judging import (
     nearness,
 )
 from gonio_analysis.selection.parallel import Share, here
+from gonio_analysis.selection.time_left import Begun
 
 BEYOND = 2
 """Models with more parameters than this beyond the first that chi-square does not reject are not tried."""
@@ -130,41 +131,6 @@ def candidates(models: Sequence[str], ior: Ior = None) -> list[Candidate]:
     return out
 
 
-class _Begun:
-    """Tells which model is begun, and how long those may take that are left.
-
-    A job says the label of its model when it begins, and again when it ends. Models take about as long as the square
-    of their parameters says. Nothing is foretold before the first with n and k is done, whose ways are the longest.
-    """
-
-    def __init__(self, name: str, sizes: Mapping[Candidate, int], progress: Say) -> None:
-        self._name, self._progress, self._many, self._done, self._number = name, progress, len(sizes), 0.0, 0
-        self._left = {c.label: float(size**2) for c, size in sizes.items()}
-        self._slow, self._running = {c.label for c in sizes if "k" in c.free}, set[str]()
-        self._began = time.perf_counter()
-
-    def skip(self, candidate: Candidate) -> None:
-        """This one is not fitted."""
-        self._left.pop(candidate.label)
-        self._number += 1
-
-    def __call__(self, label: str) -> None:
-        """A model is begun, or has ended; what others say of their work is not passed on."""
-        if label in self._running:
-            self._running.remove(label)
-            self._done += self._left.pop(label)
-        elif label in self._left:
-            passed, half = time.perf_counter() - self._began, 0.5 * sum(self._left[one] for one in self._running)
-            left = ""
-            known = not self._slow or bool(self._slow - self._left.keys())
-            if passed > QUIET_S and self._done and known:
-                left = f", about {duration(passed / (self._done + half) * (sum(self._left.values()) - half))} left"
-            self._running.add(label)
-            self._number += 1
-            many = f" ({self._number} of {self._many}{left})" if self._many > 1 else ""
-            self._progress(f"{self._name}: fitting {label}{many}")
-
-
 def _fit(
     data: Observations, asked: FitRequest, starts: Sequence[Sequence[Values] | None], label: str, name: str, say: Say
 ) -> tuple[FitResult | str, float]:
@@ -172,7 +138,7 @@ def _fit(
     say(label)
     began = time.perf_counter()
     try:
-        result: FitResult | str = min((fit(data, replace(asked, start=s), name=name) for s in starts), key=_farness)
+        result: FitResult | str = _nearest([fit(data, replace(asked, start=s), name=name) for s in starts])
     except (DataError, ConfigError) as error:
         if isinstance(error, ConfigError) and not all(math.isnan(w) for w in data.wavelengths):
             raise
@@ -198,7 +164,7 @@ def _fitted(
     walls: dict[Candidate, float] = {}
     enough = math.inf
     sizes = {c: len(pose(asked).free) for c, asked in requests.items()}
-    told = _Begun(name, sizes, progress)
+    told = Begun(name, sizes, progress)
     for size, alike in groupby(sorted(sizes, key=sizes.__getitem__), key=sizes.__getitem__):  # stable
         jobs = {}
         for candidate in alike:
@@ -341,6 +307,17 @@ def _starts(candidate: Candidate, fits: Mapping[Candidate, FitResult]) -> list[l
 
 def _values(result: FitResult) -> Values:
     return dict(result.problem.values(result.vector))
+
+
+def _nearest(found: Sequence[FitResult]) -> FitResult:
+    """The nearest of fits of one model to the same values; where all are rejected, with the least chi-square of all.
+
+    Misfits may be equal where chi-squares are not: a search by stated uncertainties may end in a valley of its own.
+    """
+    best = min(found, key=_farness)
+    if best.misfit is None or best.chi_square is None:
+        return best
+    return replace(best, chi_square=min(one.chi_square for one in found if one.chi_square is not None))
 
 
 def _farness(result: FitResult) -> tuple[float, float]:

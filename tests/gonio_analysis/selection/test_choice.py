@@ -1,6 +1,5 @@
 """Which model: the simplest that the data do not reject, and where the others fail."""
 
-import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -118,22 +117,6 @@ def test_blocks_to_leave_out_are_neighbours() -> None:
     assert sorted(np.concatenate(groups)) == list(range(len(one)))
     signed = np.where(one.directions.phi_r > 1, one.directions.theta_r, -one.directions.theta_r)
     assert all(np.ptp(signed[g]) < np.radians(160 / 4) for g in groups)
-
-
-def test_models_are_counted_while_they_are_fitted_and_the_time_left_is_in_proportion(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """By a clock that goes on by 10 s whenever it is read: once at the start, and three times a model."""
-    clock = itertools.count(0.0, 10.0)
-    monkeypatch.setattr(choosing, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    said: list[str] = []
-    models = ("lambert", "oren-nayar", "phong")
-    decide(measure(MATTE, noise=0.01, seed=2), models, name="matte", all_of_them=True, progress=said.append)
-    assert said[:3] == [
-        "matte: fitting lambert (1 of 3)",
-        "matte: fitting oren-nayar (2 of 3, about 9 min left)",  # 40 s for 1 squared; 2 and 3 squared are left
-        "matte: fitting phong (3 of 3, about 2 min left)",  # 70 s for 1 and 4, and 9 is left
-    ]
 
 
 def fitted(**values: float) -> FitResult:
