@@ -16,7 +16,7 @@ from gonio_analysis.fitting.forward import apparent, pointlike
 from gonio_analysis.fitting.objective import scaled_to, with_misfit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
-from gonio_analysis.fitting.search import settle
+from gonio_analysis.fitting.settling import settle
 from gonio_analysis.fitting.spectrum import shares
 
 Engine = Callable[[Problem, Observations, float], tuple[Floats, float, float] | None]

@@ -34,7 +34,8 @@ from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observati
 from gonio_analysis.fitting.parameters import tells_index
 from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.profile_likelihood import Interval, Near, tied, walked
-from gonio_analysis.fitting.search import covariance, derivatives, gauss_newton, refine, search, search_from, settle
+from gonio_analysis.fitting.search import covariance, derivatives, gauss_newton, refine, search, search_from
+from gonio_analysis.fitting.settling import settle
 from gonio_analysis.fitting.solution import ROUNDING, Solution, residuals_on_log_scale
 
 BOUND_FIRST = 30.0

@@ -66,7 +66,11 @@ LARGEST = 1e6
 LEVELLED = 3
 """Steps to the level of a Lambertian part."""
 LONGEST = 0.1
-"""Longest that the last step of a search may be, on the search scale."""
+"""Longest that a last step of a search may be, on the search scale."""
+NO_EFFECT = 1e-10
+"""What a parameter's longest step changes of the residuals, as a part, below which it stays."""
+LEAST_CURVED = 1e-8
+"""Least curvature, of parameters of one size, that Newton's step goes by; a saddle has less than none."""
 
 
 def search_from(problem: Problem, data: Observations, starts: Sequence[Values], say: Say = silent) -> Floats:
@@ -371,40 +375,49 @@ def to_full(full: Floats, quick: Floats) -> Floats:
         return np.nan_to_num(np.clip(full / quick, 0.2, 5.0), nan=1.0)
 
 
-def settle(
-    problem: Problem, data: Observations, goal: Objective, vector: Floats, rules: Averaging = None
-) -> tuple[Floats, Floats]:
-    """One Gauss-Newton step with the full derivatives, if it helps; the point, and the Jacobian of the residuals there.
-
-    A parameter that stays at a bound is put onto it.
-    """
-    rules = rules or averaging(problem.model(vector), data)
-    predicted = apparent(problem.model(vector), data, rules=rules)
-    residual = np.concatenate([goal.residual(predicted), problem.pulls(vector)])
-    robust = goal.robust_weights(residual)
-    jacobian = goal.jacobian(predicted, derivatives(problem, data, vector, rules=rules))
-    jacobian = np.concatenate([jacobian, problem.pull_slopes(vector)]) * robust[:, None]
-    residual = residual * robust
-    moved = last_step(vector, residual, jacobian, *problem.bounds)
-    after = goal.residual(apparent(problem.model(moved), data, rules=rules))
-    after = np.concatenate([after, problem.pulls(moved)]) * robust
-    # a bound that is put on exactly may cost the last digits of the sum
-    return (moved, jacobian) if after @ after <= (residual @ residual) * (1 + 1e-9) else (vector, jacobian)
-
-
-def last_step(vector: Floats, residual: Floats, jacobian: Floats, lower: Floats, upper: Floats) -> Floats:
+def last_step(
+    vector: Floats, residual: Floats, jacobian: Floats, lower: Floats, upper: Floats, bent: Floats | None = None
+) -> Floats:
     """Where the Gauss-Newton step of the parameters that stand at no bound ends; one that comes to a bound stays on it.
 
-    Parameters with infinite bounds may go any way.
+    Newton's step with `bent`, what residuals add to the second derivatives (p, p). What first comes to a bound, or to
+    the longest step, is held there, and the others go on; what has no effect stays. Parameters with infinite bounds may
+    go any way.
     """
     margin = 1e-6 * np.minimum(upper - lower, 1.0)
-    inside = (vector > lower + margin) & (vector < upper - margin)
-    step = np.zeros(vector.size)
-    if inside.any():
-        step[inside] = gauss_newton(jacobian[:, inside], residual)
     longest = np.where(np.isfinite(upper - lower), LONGEST, np.inf)
-    moved = np.clip(vector + np.clip(step, -longest, longest), lower, upper)
+    low, high = np.maximum(lower - vector, -longest), np.minimum(upper - vector, longest)
+    tells = np.linalg.norm(jacobian, axis=0) * LONGEST > NO_EFFECT * np.linalg.norm(residual)
+    step, moving = np.zeros(vector.size), np.flatnonzero((vector > lower + margin) & (vector < upper - margin) & tells)
+    while moving.size:
+        slopes, left = jacobian[:, moving], residual + jacobian @ step
+        if bent is None:
+            part = gauss_newton(slopes, left)
+        else:
+            part = newton(slopes, left, (bent @ step)[moving], bent[np.ix_(moving, moving)])
+        limit = np.where(part < 0.0, low[moving], high[moving])
+        first = int(np.argmax(part / limit))
+        if part[first] / limit[first] <= 1.0:
+            step[moving] = part
+            break
+        step[moving[first]] = limit[first]
+        moving = np.delete(moving, first)
+    moved = np.clip(vector + step, lower, upper)
     return np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
+
+
+def newton(jacobian: Floats, residual: Floats, slope: Floats, bent: Floats) -> Floats:
+    """Newton's step (p,); Gauss and Newton's at a saddle.
+
+    `bent` (p, p) and `slope` (p,) are what is added to the second and first derivatives that residuals have by
+    themselves.
+    """
+    size = np.linalg.norm(jacobian, axis=0)
+    columns = jacobian / size
+    values, axes = np.linalg.eigh(columns.T @ columns + bent / size / size[:, None])
+    if values[0] < LEAST_CURVED:
+        return gauss_newton(jacobian, residual)
+    return np.asarray(-(axes / values) @ (axes.T @ (columns.T @ residual + slope / size)) / size)
 
 
 def gauss_newton(jacobian: Floats, residual: Floats) -> Floats:

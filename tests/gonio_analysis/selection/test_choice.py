@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.fitting.fit import FitResult
+from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
@@ -136,6 +136,16 @@ def test_sums_begin_at_the_fit_of_their_gloss() -> None:
     assert known_list(found[1])[0]["albedo"] == 0.3
     assert choosing._starts(Candidate("oren-nayar+phong"), {}) == [None]
     assert choosing._starts(Candidate("phong"), {}) == [None]
+
+
+def test_of_fits_with_one_misfit_the_least_chi_square_is_stated() -> None:
+    """One ended in a valley of the stated uncertainties alone; its misfit is less by rounding."""
+    found = fit(measure(PAINT, noise=0.01), "lambert")
+    misfit = known(found.misfit)
+    other = replace(
+        found, chi_square=known(found.chi_square) + 5.0, misfit=replace(misfit, tau=misfit.tau * (1 - 1e-12))
+    )
+    assert choosing._nearest([other, found]).chi_square == found.chi_square
 
 
 def known_list(found: Any) -> list[dict[str, float]]:
