@@ -13,7 +13,7 @@ from gonio_maps.models import batch
 from gonio_maps.models._batch_models import MODELS
 
 
-def solved(problem: Problem, data: Observations, wavelength_nm: float) -> tuple[Floats, float, float] | None:
+def solved(problem: Problem, data: Observations, wavelength_nm: float) -> tuple[Floats, bool] | None:
     """Where the fit of a model to the values of one wavelength ends, cones being directions.
 
     Parameters
@@ -21,31 +21,29 @@ def solved(problem: Problem, data: Observations, wavelength_nm: float) -> tuple[
     problem
         What moves.
     data
-        Values with uncertainties, of unpolarised light. Common causes are relative changes here.
+        Values with uncertainties, of unpolarised light. As in a search, common causes do not count.
     wavelength_nm
         NaN for a broad band.
 
     Returns
     -------
-    tuple of array, float, float
-        The point of the search scale, the least chi-square, and the misfit of a model that is rejected (0 elsewhere),
-        whose point is that of the nearest model. None where the engine does not have this model or these parameters,
-        or a value cannot be weighed.
+    tuple of array, bool
+        The point of the search scale, and whether chi-square rejects the model, whose point is then that of the nearest
+        one. None where the engine does not have this model or these parameters, or a value cannot be weighed.
     """
     known = _known(problem, wavelength_nm)
-    if known is None or data.covariance is None or bool(np.any(data.brdf == 0.0)):
+    if known is None or data.covariance is None:
         return None
-    stated, origin = data.covariance, np.zeros(1)
+    origin = np.zeros(1)
     source, camera = data.directions.vectors
     found = batch.fit(
-        problem.asked.model, origin, origin, source, camera, data.brdf[None], stated.random[None],
-        common=(stated.common / data.brdf[:, None]).T, fixed=known, wavelength_nm=known_wavelength(wavelength_nm),
-        threads=1,
+        problem.asked.model, origin, origin, source, camera, data.brdf[None], data.covariance.random[None],
+        fixed=known, wavelength_nm=known_wavelength(wavelength_nm), threads=1,
     )  # fmt: skip
     values = dict(zip(found.names, found.values[0].tolist(), strict=True))
     if found.used[0] < len(data) or set(found.free) != set(problem.free) or not math.isfinite(found.chi_square[0]):
         return None
-    return problem.vector(values), float(found.chi_square[0]), float(found.tau[0])
+    return problem.vector(values), bool(found.tau[0] > 0.0)
 
 
 def _known(problem: Problem, wavelength_nm: float) -> dict[str, float] | None:

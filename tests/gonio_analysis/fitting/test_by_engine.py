@@ -16,9 +16,9 @@ from tests.gonio_analysis.synthetic import measure
 ASKED = FitRequest("oren-nayar")
 
 
-def at(vector: Floats, tau: float = 0.0) -> Engine:
+def at(vector: Floats, rejected: bool = False) -> Engine:
     """An engine that always finds the same."""
-    return lambda problem, data, wavelength_nm: (vector, 90.0, tau)
+    return lambda problem, data, wavelength_nm: (vector, rejected)
 
 
 def test_a_solution_is_the_fit_and_one_that_is_none_is_not_taken() -> None:
@@ -36,6 +36,7 @@ def test_a_solution_is_the_fit_and_one_that_is_none_is_not_taken() -> None:
     assert found.chi_square == pytest.approx(known.chi_square)
     beside = known.vector + 3.0 * SHORT * np.sqrt(np.diag(known.spread))
     assert fit_by(at(beside), data, ASKED) == "an unsettled solution"
+    assert fit_by(at(known.vector, rejected=True), data, ASKED) == "a rejected model"
     assert fit_by(lambda *_: None, data, ASKED) == "a model or parameters that the engine of maps does not have"
 
 

@@ -147,21 +147,18 @@ def both(path: Path, model: str, **options: Any) -> tuple[many_tables.Row, many_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["cook-torrance", "ggx"])
-def test_rows_by_the_engine_of_maps_are_those_of_a_search(model: str, tmp_path: Path) -> None:
+def test_rows_by_the_engine_of_maps_are_those_of_a_search(tmp_path: Path) -> None:
     gloss = CookTorrance(s=0.4, d=0.6, m=0.3, diffuse_albedo=0.5, ior=1.5)
-    reference = 0.01 if model == "cook-torrance" else 0.0
-    measurement.write(measure(gloss, seed=5, reference=reference), tmp_path / "gloss.csv")
-    quick, plain, why = both(tmp_path / "gloss.csv", model)
+    measurement.write(measure(gloss, seed=5, reference=0.01), tmp_path / "gloss.csv")
+    quick, plain, why = both(tmp_path / "gloss.csv", "cook-torrance")
     assert why == []
-    assert quick["flag"] == plain["flag"] == ("" if model == "cook-torrance" else "rejected")
-    for name in ("diffuse_albedo", "ior"):
+    assert quick["flag"] == plain["flag"] == ""
+    for name in ("s", "m", "diffuse_albedo", "ior"):
         u = float(plain[f"u_{name}"])
         # both end where a step is below 1e-4 u; the last step of both starts that near
         assert float(quick[name]) == pytest.approx(float(plain[name]), abs=1e-3 * u)
         assert float(quick[f"u_{name}"]) == pytest.approx(u, rel=1e-3)
-    for name in ("chi_square", "misfit"):
-        assert float(quick[name]) == pytest.approx(float(plain[name]), rel=1e-3)
+    assert float(quick["chi_square"]) == pytest.approx(float(plain["chi_square"]), abs=1e-3)
 
 
 @pytest.mark.slow
@@ -174,7 +171,7 @@ def test_what_the_engine_of_maps_cannot_do_is_searched_for_and_said(tmp_path: Pa
         (bare, "oren-nayar", {}, "no stated uncertainties"),
         (measure(gloss), "oren-nayar", {"loss": "huber"}, "another metric, loss, bound or prior"),
         (measure(white, seed=2), "cook-torrance", {}, "a parameter at its bound"),
-        (measure(gloss, reference=0.01), "ggx", {}, "a rejected model of values with common causes"),
+        (measure(gloss, reference=0.01), "ggx", {}, "a rejected model"),
     ]
     for k, (frame, model, options, said) in enumerate(cases):
         measurement.write(frame, tmp_path / f"{k}.csv")
