@@ -32,7 +32,7 @@ from gonio_analysis.fitting.misfit import SETTLED, SMALLEST, TURNS, block_spread
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.parameters import tells_index
-from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
+from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, acceptable, pose, together
 from gonio_analysis.fitting.profile_likelihood import Interval, Near, tied, walked
 from gonio_analysis.fitting.search import covariance, derivatives, gauss_newton, refine, search, search_from
 from gonio_analysis.fitting.settling import settle
@@ -51,6 +51,10 @@ NOT_AT_THE_END = (
     "The search has not come to its end: one more step would lower chi-square by {:.2g}, so parameters may be off by"
     " more than is stated. Parameters replace each other here: fix one (--fix) or say what is known of it (--prior)."
 )
+OTHERS = 2
+"""Ends of a search that are tried through the cones, beside the one that is best at their centres."""
+ALIKE = 1.01
+"""Of ends whose sums are within this factor, last steps tell which is the least."""
 AGAIN = 8
 """Steps of a fit without a block, from where the linear step says it ends."""
 
@@ -112,15 +116,36 @@ def _minimised(
     problem: Problem, data: Observations, start: Sequence[Values] | None, say: Say
 ) -> tuple[Observations, Objective, Floats, Floats]:
     """The values with scales by a model near the least, what is made small, the least, and the Jacobian there."""
-    soft, asked = problem.softer(BOUND_FIRST), problem.asked
-    vector = search(problem, data, say) if start is None else search_from(soft, data, start, say)
-    found = apparent(problem.model(vector), data, quick=True)
+    soft = problem.softer(BOUND_FIRST)
+    ends = search(problem, data, say) if start is None else search_from(soft, data, start, say)
+    found = [_through_cones(problem, data, *ends[0], say)]
+    weighted = problem.asked.metric is None and data.covariance is not None and not pointlike(data)
+    if weighted and 2.0 * found[0][3] > acceptable(len(data) - len(problem.free)):
+        off = abs(found[0][3] - ends[0][1])  # what the cones change: ends that differ by less are in no order
+        others = [end for end in ends[1:] if end[1] - ends[0][1] < off][:OTHERS]
+        found += [_through_cones(problem, data, *end, say) for end in others]
+    least = min(cost for *_, cost in found)
+    settled = [
+        (data, goal, *settle(problem, data, goal, as_stated(problem, vector)))
+        for data, goal, vector, cost in found
+        if len(found) == 1 or cost <= ALIKE * least
+    ]
+    if len(settled) == 1:
+        return settled[0]
+    return min(settled, key=lambda one: one[1].total(one[1].residual(apparent(problem.model(one[2]), one[0]))))
+
+
+def _through_cones(
+    problem: Problem, data: Observations, vector: Floats, cost: float, say: Say
+) -> tuple[Observations, Objective, Floats, float]:
+    """From the end of a search with the quick model to that with the full one, as `_minimised`; and half its sum."""
+    asked, found = problem.asked, apparent(problem.model(vector), data, quick=True)
     data = by_model(data, problem.model(vector), found)
     goal = replace(scaled_to(data, found, asked.metric), loss=asked.loss)
     done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
-    if not (done and pointlike(data) and (goal.weights is None or not goal.weights.causes)):
-        vector = refine(problem, data, goal, vector, say=say)[0]
-    return data, goal, *settle(problem, data, goal, as_stated(problem, vector))
+    if done and pointlike(data) and (goal.weights is None or not goal.weights.causes):
+        return data, goal, vector, cost
+    return data, goal, *refine(problem, data, goal, vector, say=say)
 
 
 def as_stated(problem: Problem, vector: Floats) -> Floats:
@@ -276,7 +301,7 @@ def _nearest(rejected: FitResult, say: Say) -> FitResult:
     unstated = replace(data, covariance=None, u_rel_assumed=None)
     begin = [rejected.vector]
     if not problem.waves:  # a fit of several wavelengths began where one alone ended
-        begin.insert(0, search(problem, unstated, say))
+        begin.insert(0, search(problem, unstated, say)[0][0])
     found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
     vector = min(found, key=lambda f: f[1])[0]
     residual, columns, stated = residuals_on_log_scale(problem, data, vector, apparent(problem.model(vector), data))

@@ -73,18 +73,28 @@ LEAST_CURVED = 1e-8
 """Least curvature, of parameters of one size, that Newton's step goes by; a saddle has less than none."""
 
 
-def search_from(problem: Problem, data: Observations, starts: Sequence[Values], say: Say = silent) -> Floats:
-    """The best point of searches with the quick forward model that begin at solutions of relatives.
+def search_from(
+    problem: Problem, data: Observations, starts: Sequence[Values], say: Say = silent
+) -> list[tuple[Floats, float]]:
+    """As `search`, of searches with the quick forward model that begin at solutions of relatives."""
+    return _apart(sorted((approach(problem, data, problem.vector(s), say) for s in starts), key=lambda f: f[1]))
 
-    As in `search` only the independent part of the covariance counts.
-    """
-    return min([approach(problem, data, problem.vector(start), say) for start in starts], key=lambda f: f[1])[0]
+
+def _apart(ends: Sequence[tuple[Floats, float]]) -> list[tuple[Floats, float]]:
+    """Ends without those that are one with an earlier one."""
+    apart: list[tuple[Floats, float]] = []
+    for end in ends:
+        if all(np.abs(end[0] - other).max() > APART for other, _ in apart):
+            apart.append(end)
+    return apart
 
 
-def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
-    """The best point of several searches with the quick forward model, the first part of each with softened weights.
+def search(problem: Problem, data: Observations, say: Say = silent) -> list[tuple[Floats, float]]:
+    """Where several searches with the quick forward model end, the first part of each with softened weights.
 
-    Only the independent part of the covariance counts here: common causes need a model to be scaled by.
+    Points and half their sums of squares, the least one first; the others, `APART` from it and each other, may be a few
+    steps from their ends. Only the independent part of the covariance counts here: common causes need a model to be
+    scaled by.
     """
     asked = problem.asked
     few = data if len(data) <= GRID_POINTS else data.take(np.arange(len(data))[:: -(-len(data) // GRID_POINTS)])
@@ -99,14 +109,16 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> Floats:
         costs = [goal.residual(apparent(problem.model(v), brightest, quick=True)) ** 2 for v in starts]
         by_metric = [(float(cost.sum()), v) for cost, v in zip(costs, starts, strict=True)]
         begin.append(_coarse(problem, brightest, goal, by_metric)[0][0])
-    found = min((approach(problem, data, vector, say) for vector in begin), key=lambda f: f[1])
+    ends = [approach(problem, data, vector, say) for vector in begin]
+    found = min(ends, key=lambda f: f[1])
     goal = replace(alone(few, asked.metric), loss=asked.loss)
     if inside := _inside(problem, found[0], starts) + _of_other_indices(problem, few, goal, found[0]):
-        ends = [refine(problem, few, goal, vector, quick=True, limit=INSIDE) for vector in inside]
-        found = min(found, approach(problem, data, min(ends, key=lambda f: f[1])[0], say), key=lambda f: f[1])
+        more = [refine(problem, few, goal, vector, quick=True, limit=INSIDE) for vector in inside]
+        found = min(found, approach(problem, data, min(more, key=lambda f: f[1])[0], say), key=lambda f: f[1])
+        ends += [(vector, cost * len(data) / len(few)) for vector, cost in more]
     if asked.metric is None and asked.loss == "linear" and data.covariance is not None and data.u_rel_assumed is None:
         found = _beyond(problem, data, few, found, candidates, say)
-    return found[0]
+    return _apart([found, *sorted(ends, key=lambda f: f[1])])
 
 
 def _beyond(

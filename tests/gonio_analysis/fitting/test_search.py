@@ -10,11 +10,15 @@ from typing import cast
 import numpy as np
 import pandas as pd
 import pytest
+from gonio_analysis.fitting import fit as fit_module
 from gonio_analysis.fitting import search
 from gonio_analysis.fitting.fit import fit
+from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 
-from gonio.models import build
+from gonio.models import Phong, build
+from gonio.progress import silent
+from gonio.typing import Floats
 from tests.gonio_analysis.synthetic import known, measure
 
 
@@ -189,3 +193,20 @@ def test_a_level_on_its_bound_stays_there() -> None:
 def test_starts_on_a_bound_are_no_places_inside() -> None:
     starts = [np.array([0.0, 2.0]), np.array([1.0, 2.0])]
     np.testing.assert_array_equal(search._inside(bounded(), np.array([0.0, 2.0]), starts), [[0.5, 2.0]])
+
+
+def test_of_ends_that_cones_put_in_another_order_the_least_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lobe so narrow that no value is in it has no slope to follow; at the cones' centres it is called better."""
+    views = np.arange(-77.5, 80.0, 5.0)  # none towards the mirror
+    data = observations(measure(Phong(0.2, 0.3, 100.0), views=views, noise=0.002, cone_sr=1e-4))
+    problem = pose(FitRequest("phong"))
+    right = problem.vector({"k_d": 0.2, "k_s": 0.3, "exponent": 100.0})
+    wrong = problem.vector({"k_d": 0.2, "k_s": 0.3, "exponent": 1e5})
+
+    def exponent(*ends: tuple[Floats, float]) -> float:
+        monkeypatch.setattr(fit_module, "search", lambda *_: list(ends))
+        return problem.values(fit_module._minimised(problem, data, None, silent)[2])["exponent"]
+
+    assert exponent((wrong, 1.0)) > 1000.0
+    # values within a lobe are known to 0.2 %, and its exponent to about as much
+    assert exponent((wrong, 1.0), (right, 2.0)) == pytest.approx(100.0, rel=0.02)
