@@ -51,10 +51,9 @@ NOT_AT_THE_END = (
     "The search has not come to its end: one more step would lower chi-square by {:.2g}, so parameters may be off by"
     " more than is stated. Parameters replace each other here: fix one (--fix) or say what is known of it (--prior)."
 )
-OTHERS = 2
-"""Ends of a search that are tried through the cones, beside the one that is best at their centres."""
-ALIKE = 1.01
-"""Of ends whose sums are within this factor, last steps tell which is the least."""
+OTHERS, ALIKE = 2, 1.01
+"""Ends of a search that are tried through the cones, beside the one that is best at their centres; of those whose sums
+are within the factor, last steps tell which is the least."""
 AGAIN = 8
 """Steps of a fit without a block, from where the linear step says it ends."""
 
@@ -116,8 +115,7 @@ def _minimised(
     problem: Problem, data: Observations, start: Sequence[Values] | None, say: Say
 ) -> tuple[Observations, Objective, Floats, Floats]:
     """The values with scales by a model near the least, what is made small, the least, and the Jacobian there."""
-    soft = problem.softer(BOUND_FIRST)
-    ends = search(problem, data, say) if start is None else search_from(soft, data, start, say)
+    ends = search(problem, data, say) if start is None else search_from(problem.softer(BOUND_FIRST), data, start, say)
     found = [_through_cones(problem, data, *ends[0], say)]
     weighted = problem.asked.metric is None and data.covariance is not None and not pointlike(data)
     if weighted and 2.0 * found[0][3] > acceptable(len(data) - len(problem.free)):
