@@ -48,6 +48,14 @@ def _drawn_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gonio_analysis.report.drawing.MOST_PROCESSES", 1)
 
 
+@pytest.fixture(autouse=True)
+def _what_a_test_adds_goes_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Models, choosers and other plug-ins that are added while a program runs."""
+    from gonio import plugins
+
+    monkeypatch.setattr(plugins, "_added", dict(plugins._added))
+
+
 @pytest.fixture
 def one_id(monkeypatch: pytest.MonkeyPatch) -> None:
     """All runs have one id, so that they can be compared to the byte: nothing else differs from run to run."""

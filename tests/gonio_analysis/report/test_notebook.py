@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
@@ -165,15 +164,6 @@ class Usurper(Dull):
     name = "lambert"
 
 
-@pytest.fixture
-def nothing_added() -> Iterator[None]:
-    before = dict(plugins._added)
-    yield
-    plugins._added.clear()
-    plugins._added.update(before)
-
-
-@pytest.mark.usefixtures("nothing_added")
 def test_a_class_of_ones_own_is_fitted_compared_and_given_intervals() -> None:
     flat = measure(Lambert(0.3), noise=0.005)
     result = gonio_analysis.fit(flat, Dull)
@@ -187,7 +177,6 @@ def test_a_class_of_ones_own_is_fitted_compared_and_given_intervals() -> None:
         result.intervals("lever")
 
 
-@pytest.mark.usefixtures("nothing_added")
 def test_a_class_that_cannot_be_found_again_is_refused(table: pd.DataFrame) -> None:
     class Hidden(Dull):
         name = "hidden"
