@@ -34,6 +34,8 @@ from gonio.models import abg as abg_kernels
 from gonio.models import blinn as blinn_kernels
 from gonio.models import eon as eon_kernels
 from gonio.models import ggx as ggx_kernels
+from gonio.models import hapke as hapke_kernels
+from gonio.models import k_correlation as k_correlation_kernels
 from gonio.models.plain import anisotropic, blinn, cook_torrance, he_torrance, oren_nayar, retroreflecting
 from gonio.models.plain import fresnel as plain_fresnel
 from gonio.models.plain.vectors import direction, dot
@@ -244,6 +246,10 @@ ELSEWHERE: dict[Any, Callable[..., None]] = {
     ggx_kernels.isotropic: test_newer_models.test_public_digits,
     ggx_kernels.anisotropic: test_newer_models.test_facets_of_one_width_are_isotropic,
     ggx_kernels.multiscatter: test_newer_models.test_a_mirror_s_facets_lose_no_light_between_them,
+    **dict.fromkeys(
+        (hapke_kernels.smooth, hapke_kernels.rough, hapke_kernels.scattered, k_correlation_kernels.first_order),
+        test_newer_models.test_digits_at_the_edges,
+    ),
     models.htsg._shadowing: test_htsg_reference.test_shadowing,
     models.htsg._effective_roughness: test_htsg_reference.test_effective_roughness,
     models.htsg._log_series: test_htsg_reference.test_series,
