@@ -1,9 +1,12 @@
 """Fits whose solution an engine finds (`gonio_maps.fits.tables`), and `gonio_analysis.fitting.fit` confirms.
 
 A search takes most of a fit's time. Here the engine searches, and what follows is that of every fit: common causes, the
-last step, standard errors. What it finds counts where nothing is left to ask: the data do not reject the model, the
-last step is short, no parameter stands at a bound, and all of them are determined. Everything else is searched for as
-ever; of rejected models one He-Torrance fit of 15 had ended in a valley whose chi-square was 1700 too high.
+last step, standard errors. What it finds counts where nothing is left to ask: the last step is short, no parameter
+stands at a bound, and all of them are determined. Everything else is searched for as ever.
+
+Where the data reject the model the engine tells both ends that such a fit needs: the least chi-square, and the nearest
+model by logarithms. The second one is a neighbour of the first. Where one of them stands at a bound another valley may
+be nearer, as with 20 of 95 fits of Cook-Torrance to other models' values: there the nearest one is searched for.
 """
 
 from collections.abc import Callable
@@ -11,20 +14,24 @@ from collections.abc import Callable
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.fitting.fit import FitResult, as_stated, at_one_wavelength, concluded
+from gonio_analysis.fitting.fit import FitResult, as_stated, at_one_wavelength, concluded, nearest
 from gonio_analysis.fitting.forward import apparent, pointlike
-from gonio_analysis.fitting.objective import scaled_to
+from gonio_analysis.fitting.objective import alone, scaled_to
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
-from gonio_analysis.fitting.search import refine
+from gonio_analysis.fitting.search import AT_BOUND, refine
 from gonio_analysis.fitting.settling import settle
 from gonio_analysis.fitting.spectrum import shares
 
-Engine = Callable[[Problem, Observations, float], tuple[Floats, bool] | None]
+Engine = Callable[[Problem, Observations, float], tuple[Floats, float, bool] | None]
 """Problem, values of one wavelength, and that [nm] -> the point of the search scale where a search by the independent
-part of the covariance ends, and whether that rejects the model; None where it does not do that."""
+part of the covariance ends, the least chi-square, and whether that rejects the model, whose point is then that of the
+nearest one; None where it does not do that."""
 SHORT = 1e-2
 """Longest last step, in standard errors, after which what an engine has found counts as a solution."""
+SAME = 1e-6
+"""Part of chi-square: a search that begins at the nearest model is in the valley of the least one where it ends no
+higher. Both searches stop at 1e-10 of it a step."""
 UNKNOWN = 0.5
 """Share of its range: beyond this standard error a parameter may have another valley."""
 
@@ -46,17 +53,24 @@ def fit_by(engine: Engine, data: Observations, asked: FitRequest, *, name: str =
     found = engine(problem, data, wavelength)
     if found is None:
         return "a model or parameters that the engine of maps does not have"
-    vector, rejected = found
+    close, least, rejected = found
+    vector = close
     if rejected:
-        return "a rejected model"
+        vector, cost = refine(problem, data, alone(data), close, quick=True)
+        if 2.0 * cost > least * (1.0 + SAME):
+            return "a rejected model"
     goal = scaled_to(data, apparent(problem.model(vector), data))
     if goal.weights is not None and goal.weights.causes:
         vector = refine(problem, data, goal, vector)[0]
     vector = as_stated(problem, vector)
     end, jacobian = settle(problem, data, goal, vector)
-    if not np.linalg.norm(jacobian @ (end - vector)) < SHORT:
+    if not rejected and not np.linalg.norm(jacobian @ (end - vector)) < SHORT:
         return "an unsettled solution"
     result = concluded(problem, data, goal, end, jacobian, wavelength)
+    if result.rejected and rejected:
+        lower, upper = problem.bounds
+        inner = np.minimum([vector - lower, close - lower], [upper - vector, upper - close])
+        return nearest(result, end=close if np.all(inner > AT_BOUND * (upper - lower)) else None)
     return "a rejected model" if result.rejected else _doubt(result) or result
 
 

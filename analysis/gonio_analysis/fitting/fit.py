@@ -42,8 +42,8 @@ BOUND_FIRST = 30.0
 """Factor by which the bound is softer at first, for a search along a steep wall takes many short steps."""
 EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
-AT_BOUND = 1e-3
-"""Part of a parameter's range: one nearer to a bound than this is tried on the bound, too."""
+AT_BOUND, ON_BOUND = 1e-3, 1e-7
+"""Part of a range: a parameter nearer to a bound is tried on it; on the search scale: one nearer stands on it."""
 UNSETTLED = 0.1
 """Part of chi-square over its degrees of freedom that one more step would take away, above which a search has not come
 to its end: of ten models' fits all that had left less than 1e-15."""
@@ -209,7 +209,7 @@ def fit(
     result = concluded(problem, data, goal, vector, jacobian, wavelength)
     if asked.metric is None and asked.loss == "linear":
         if result.rejected:
-            result = _nearest(result, say)
+            result = nearest(result, say)
         elif data.covariance is None:
             result = known_by_blocks(result)
     elif not goal.whitened:
@@ -289,17 +289,17 @@ def at_solution(
     )
 
 
-def _nearest(rejected: FitResult, say: Say) -> FitResult:
+def nearest(rejected: FitResult, say: Say = silent, *, end: Floats | None = None) -> FitResult:
     """The nearest model, where the data reject every one: with a misfit that makes the residuals most probable.
 
     The search begins anew without the stated uncertainties, for a fit that trusts them may lie in a valley that only
-    the best known values are in.
+    the best known values are in. `end` is where such a search has ended already.
     """
     problem, data = rejected.problem, rejected.data
     unstated = replace(data, covariance=None, u_rel_assumed=None)
     begin = [rejected.vector]
     if not problem.waves:  # a fit of several wavelengths began where one alone ended
-        begin.insert(0, search(problem, unstated, say)[0][0])
+        begin.insert(0, search(problem, unstated, say)[0][0] if end is None else end)
     found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
     vector = min(found, key=lambda f: f[1])[0]
     residual, columns, stated = residuals_on_log_scale(problem, data, vector, apparent(problem.model(vector), data))
@@ -367,7 +367,7 @@ def known_by_blocks(result: FitResult) -> FitResult:
     rules = averaging(result.model, data)
     columns = plain.jacobian(result.predicted, derivatives(problem, data, vector, rules=rules))
     lower, upper = problem.bounds
-    moves = (vector > lower) & (vector < upper) & (np.linalg.norm(columns, axis=0) > 0)
+    moves = (vector > lower + ON_BOUND) & (vector < upper - ON_BOUND) & (np.linalg.norm(columns, axis=0) > 0)
     moving = np.flatnonzero(moves)
     columns, pulls = columns[:, moving], problem.pull_slopes(vector)[:, moving]
     white = np.concatenate([weights.whiten(columns), pulls])

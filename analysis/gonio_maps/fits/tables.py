@@ -10,10 +10,10 @@ from gonio_analysis.fitting.problem import Problem
 from gonio import materials
 from gonio.typing import Floats
 from gonio_maps.models import batch
-from gonio_maps.models._batch_models import MODELS
+from gonio_maps.models._batch_models import MODELS, SCALES
 
 
-def solved(problem: Problem, data: Observations, wavelength_nm: float) -> tuple[Floats, bool] | None:
+def solved(problem: Problem, data: Observations, wavelength_nm: float) -> tuple[Floats, float, bool] | None:
     """Where the fit of a model to the values of one wavelength ends, cones being directions.
 
     Parameters
@@ -27,23 +27,32 @@ def solved(problem: Problem, data: Observations, wavelength_nm: float) -> tuple[
 
     Returns
     -------
-    tuple of array, bool
-        The point of the search scale, and whether chi-square rejects the model, whose point is then that of the nearest
-        one. None where the engine does not have this model or these parameters, or a value cannot be weighed.
+    tuple of array, float, bool
+        The point of the search scale, the least chi-square, and whether that rejects the model, whose point is then
+        that of the nearest one. None where the engine does not have this model or these parameters, or a value cannot
+        be weighed.
     """
     known = _known(problem, wavelength_nm)
     if known is None or data.covariance is None:
         return None
-    origin = np.zeros(1)
+    model, origin, u = MODELS[problem.asked.model], np.zeros(1), data.covariance.random[None]
     source, camera = data.directions.vectors
-    found = batch.fit(
-        problem.asked.model, origin, origin, source, camera, data.brdf[None], data.covariance.random[None],
-        fixed=known, wavelength_nm=known_wavelength(wavelength_nm), threads=1,
-    )  # fmt: skip
-    values = dict(zip(found.names, found.values[0].tolist(), strict=True))
+
+    def fitted(fixed: dict[str, float]) -> batch.Fits:
+        return batch.fit(
+            problem.asked.model, origin, origin, source, camera, data.brdf[None], u, fixed=fixed,
+            wavelength_nm=known_wavelength(wavelength_nm), threads=1,
+        )  # fmt: skip
+
+    found = fitted(known)
     if found.used[0] < len(data) or set(found.free) != set(problem.free) or not math.isfinite(found.chi_square[0]):
         return None
-    return problem.vector(values), bool(found.tau[0] > 0.0)
+    if found.tau[0] > 0.0 and model.scaled and set(model.scaled) <= set(found.free):
+        # a wrong model may be least far off as rough as can be, which is further than the engine's starts reach
+        rough = fitted(known | {model.scaled[0]: SCALES[-1] / model.own(wavelength_nm)[0]})
+        found = rough if rough.chi_square[0] < found.chi_square[0] else found
+    values = dict(zip(found.names, found.values[0].tolist(), strict=True))
+    return problem.vector(values), float(found.chi_square[0]), bool(found.tau[0] > 0.0)
 
 
 def _known(problem: Problem, wavelength_nm: float) -> dict[str, float] | None:
