@@ -90,7 +90,8 @@ def read_toml(path: str | Path) -> TomlTable:
             raise too_deep
         tables = tomllib.loads(text)
     except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such file") from None
+        near = did_you_mean(path.name, (file.name for file in path.parent.glob("*.toml")), "")
+        raise ConfigError(f"{path}: there is no such file{near and '; '}{near}") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -178,25 +178,27 @@ class ServoArms(AllAxes[joints.Joint]):
 
     def _stop(self) -> None:
         self.stopped = True
-        silent = []
+        silent, failures = [], []
         try:
             watchdog.disarm(self.joints.values())
             self._freeze()
         except DeviceError as failure:
-            log.error("stopping: %s", failure)
+            failures.append(str(failure))
         for joint in self.joints.values():
             joint.landed_at = joint.stood_at = None
             try:
                 joint.write("Goal Position", joint.get("Present Position"))
             except DeviceError as failure:
-                log.error("stopping %s: %s", joint.name, failure)
+                failures.append(str(failure))
                 silent.append(joint)
         self.deaf = len(silent) == len(self.joints)
         try:
             if silent:
                 self.bus.write_all(silent[0].table["Torque Enable"].address, {joint.id: b"\x00" for joint in silent})
         except DeviceError as failure:
-            log.error("stopping: %s", failure)
+            failures.append(str(failure))
+        for told in dict.fromkeys(failures):  # one cable that is pulled out fails them all
+            log.error("stopping the axes: %s", told)
 
     def _freeze(self) -> None:
         """Tell all servos that answer at once to stay where they are, before anybody waits for one that does not."""

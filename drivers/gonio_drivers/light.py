@@ -241,9 +241,9 @@ class SerialLight:
                 self._line.calm(missing=False)  # it may have answered what another program asked, or half a line
         except DeviceError as failure:
             raise DeviceError(
-                f'devices.light.port = "{self._light.port}": {failure}; is it on, is devices.light.dialect = '
-                f'"{self._light.dialect}" its language, and devices.light.baud = {self._light.baud or d.baud:g} its '
-                "line speed?"
+                f'devices.light.port = "{self._light.port}": {failure}; is it on, is this its port, is '
+                f'devices.light.dialect = "{self._light.dialect}" its language, and '
+                f"devices.light.baud = {self._light.baud or d.baud:g} its line speed?"
             ) from None
         if not re.fullmatch(d.identity, self.identity):
             raise DeviceError(

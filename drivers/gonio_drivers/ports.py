@@ -20,6 +20,8 @@ FAILURES = (serial.SerialException, OSError, *platform.TERMINAL_ERRORS)
 WORDED = {"FileNotFoundError": errno.ENOENT, "PermissionError": errno.EBUSY}
 """What Windows says of a port that is missing, and of one that another program has open."""
 
+DEVICES = ("/dev/", "COM")
+"""How the names of this computer's own ports begin."""
 CLOGGED_S = 3.0
 """A line that takes no byte for this long is dead. pyserial cannot tell it from a computer that was held up as long."""
 
@@ -37,7 +39,12 @@ def unopened(port: str, error: Exception, key: str) -> DeviceError:
         return DeviceError(f"{said}: the port is taken{_holder(port)}; end what holds it, then try again")
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or not Path(port).exists():
         there = ", ".join(present()) or "none"
-        return DeviceError(f"{said}: there is no such port (is the adapter plugged in?); ports here: {there}")
+        missing = (
+            "is the adapter plugged in?"
+            if port.startswith(DEVICES)
+            else "if it is a twin's: does `gonio sim serve` run?"
+        )
+        return DeviceError(f"{said}: there is no such port ({missing}); ports here: {there}")
     if number in (errno.EACCES, errno.EPERM):
         group = platform.group_of(port) or "dialout"
         return DeviceError(

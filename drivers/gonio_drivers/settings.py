@@ -115,9 +115,10 @@ class Servos(Strict):
 
     @model_validator(mode="after")
     def _distinct(self) -> Servos:
-        ids = [axis.id for axis in self.everything().values()]
-        if len(set(ids)) < len(ids):
-            raise ValueError(f"two servos have the same id; ids given: {ids}")
+        ids = {name: axis.id for name, axis in self.everything().items()}
+        if len(set(ids.values())) < len(ids):
+            given = ", ".join(f"{name} {number}" for name, number in ids.items())
+            raise ValueError(f"two servos have the same id ({given}); gonio rig ids shows who answers")
         return self
 
 

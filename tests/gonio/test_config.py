@@ -151,6 +151,12 @@ def test_what_is_no_toml_is_named(tmp_path: Path, content: bytes | None, told: s
         load(RigDescription, tmp_path / "odd.toml")
 
 
+def test_a_file_that_is_not_there_may_be_misspelt(tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").touch()
+    with pytest.raises(ConfigError, match=r'benhc\.toml: there is no such file; did you mean "bench\.toml"\?'):
+        read_toml(tmp_path / "benhc.toml")
+
+
 def test_folder_instead_of_a_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         read_toml(tmp_path)
@@ -166,7 +172,9 @@ def test_tunable_bands_and_the_one_that_contains_a_wavelength() -> None:
 
 def test_gap_between_bands_is_said() -> None:
     bands = Bands.model_validate({"list": [{"name": "green", "centre_nm": 550, "fwhm_nm": 20}]})
-    with pytest.raises(ConfigError, match="wavelength_nm = 600 lies in no band of the rig; it has: green"):
+    with pytest.raises(
+        ConfigError, match=r"wavelength_nm = 600 lies in no band of the rig; it has: green \(540 to 560 nm\)"
+    ):
         bands.containing(600)
 
 

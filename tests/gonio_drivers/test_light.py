@@ -212,7 +212,7 @@ def test_a_lamp_that_resets_while_it_shines_is_lit_again_and_told(lamp: Plugged)
 def test_a_lamp_that_stays_silent(lamp: Plugged) -> None:
     lamp.twin.faults.arm("lamp-silent", times=10_000)
     silent = lamp.driver(timeout_s=SHORT_S)
-    with pytest.raises(DeviceError, match=r"does not answer .*is it on, is devices\.light\.dialect"):
+    with pytest.raises(DeviceError, match=r"does not answer .*is it on, is this its port, is devices\.light\.dialect"):
         silent.__enter__()
 
 

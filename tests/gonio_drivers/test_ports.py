@@ -57,7 +57,9 @@ def test_words_of_the_library_tell_where_there_is_no_number(name: str, text: str
 
 
 def test_a_port_that_is_not_there_is_no_such_port_whatever_the_error(tmp_path: Path) -> None:
-    assert "there is no such port" in str(ports.unopened(str(tmp_path / "none"), failed(None, "?"), "key"))
+    told = str(ports.unopened(str(tmp_path / "none"), failed(None, "?"), "key"))
+    assert "there is no such port (if it is a twin's: does `gonio sim serve` run?)" in told
+    assert "is the adapter plugged in?" in str(ports.unopened("/dev/there-is-none", failed(None, "?"), "key"))
 
 
 def test_ports_that_are_there_are_sorted_and_have_an_adapter(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -315,7 +315,8 @@ def _with_state(error: GonioError, device: Rig, stop: Stop, *, entered: bool) ->
     promised = f"{'axes stopped' if stop.requested > 1 else 'arms parked'}, lamp dark"
     stopped = isinstance(error, Interrupted)
     state = left(device, promised if stopped and entered else "")
-    return "; ".join(filter(None, (str(error), state, "go on with --resume" if stopped else "")))
+    again = (stopped or isinstance(error, DeviceError)) and "--resume" not in str(error)
+    return "; ".join(filter(None, (str(error), state, "go on with --resume" if again else "")))
 
 
 def _say_what_was_found(resumed: Resumed, progress: Progress) -> None:

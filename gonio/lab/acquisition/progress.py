@@ -76,7 +76,11 @@ def ratio(expected: Sequence[float], taken: Sequence[float], prior: float = PRIO
     It is the ratio of the sums, so that long steps count as they do in what is left; but no single step is believed to
     be off by more than `OUTLIER` standard deviations.
     """
-    wanted, real = np.maximum(np.asarray(expected, dtype=float), 1e-9), np.maximum(np.asarray(taken, dtype=float), 1e-9)
+    wanted, real = np.asarray(expected, dtype=float), np.asarray(taken, dtype=float)
+    wanted, real = (
+        wanted[wanted > 0.0],
+        np.maximum(real[wanted > 0.0], 1e-9),
+    )  # an arm that had not to move tells nothing
     if not wanted.size:
         return Ratio(1.0, prior, prior)
     off = np.log(real / wanted)

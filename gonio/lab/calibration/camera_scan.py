@@ -170,8 +170,7 @@ class CameraScan:
 
     def keep(self) -> None:
         """Write the list of what was taken."""
-        if self.frames:
-            write_list(self._folder, self.frames)
+        write_list(self._folder, self.frames)
 
     def _black(self, kind: Literal["trap", "edge"]) -> tuple[slice, slice]:
         """The pixels that see the trap, or the screen well behind its edge at x = 0."""

@@ -126,8 +126,11 @@ def _take(rig: str, folder: Path, kinds: list[str], asked: CameraOptions, *, res
                     scan.stray(kind)
             put(manual, "sample", yes=True)  # nobody has to press a key for it
     finally:
-        scan.keep()
-        console.note(f"{folder}: {len(scan.frames)} frames")
+        if scan.frames:
+            scan.keep()
+            console.note(f"{folder}: {len(scan.frames)} frames")
+        else:
+            folder.rmdir()
     console.note("lamp dark, arms parked; put the sample back")
     return scan.frames
 

@@ -282,7 +282,7 @@ def _assigned(service: RigService, found: list[FoundServo], old: int, yes: bool,
         raise DeviceError(f"more than one servo answers to id {old}: connect the one that is meant, alone")
     servo, identity = mine[0], new.get("identity")
     if identity is not None and any(other.id == identity for other in found if other != servo):
-        raise DeviceError(f"id {identity} is taken by another servo on this port")
+        raise DeviceError(f"id {identity} is taken by another servo on this port: connect one servo at a time")
     what = f"id {identity}" if identity is not None else f"{new['baud']} baud"
     said = f"servo id {servo.id} ({servo.model}, {servo.baud} baud) becomes {what}, for good; its torque goes off"
     if not yes:

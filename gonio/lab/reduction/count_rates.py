@@ -18,7 +18,7 @@ from gonio.errors import ContradictoryFrame, DamagedFrame, DataError, os_error_a
 from gonio.lab.acquisition.exposure import USABLE, contradiction, full_scale_dn
 from gonio.lab.acquisition.frame_writer import label_of
 from gonio.lab.acquisition.records import FrameRecord, StepRecord
-from gonio.lab.acquisition.repeats import REPEATED, FramePixels, repeated, some_rows_sha256
+from gonio.lab.acquisition.repeats import FramePixels, repeated, some_rows_sha256
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import merging, stray_light
 from gonio.lab.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
@@ -291,9 +291,8 @@ class RunFrames:
         if found:
             texts = [text for number in sorted(found) for text in found[number]]
             raise DataError(
-                f"{self.run.path}: {REPEATED} in step{'s' * (len(found) > 1)} {', '.join(map(str, sorted(found)))}: "
-                f"{texts[0]}. Look after the camera; then `gonio run repair {self.run.path}` takes these steps out, "
-                f"and {RETAKE}"
+                f"{self.run.path}: step{'s' * (len(found) > 1)} {', '.join(map(str, sorted(found)))}: {texts[0]}. "
+                f"Look after the camera; then `gonio run repair {self.run.path}` takes these steps out, and {RETAKE}"
             )
 
     def read_or_note(self, step: StepRecord, entry: FrameRecord) -> Frame | None:

@@ -226,7 +226,7 @@ def _with_holder(description: RigDescription, d: Angles) -> list[Pose]:
                 spin=math.atan2(-x[1], x[0]) + 0.0,
             )
         )
-    return poses if "spin" in axes else _without_spin(poses, d)
+    return poses if "spin" in axes else _without_spin(poses, d, leans="tilt" in description.holder.axes)
 
 
 def _with_azimuth(description: RigDescription, d: Angles) -> list[Pose]:
@@ -241,10 +241,12 @@ def _with_azimuth(description: RigDescription, d: Angles) -> list[Pose]:
             azimuth = math.remainder(phi_r + spin - camera_side, TURN) if theta_r > PARALLEL else 0.0
             camera = theta_r if camera_side == 0.0 else -theta_r
             poses.append(Pose(light=light, camera=camera, spin=spin, azimuth=azimuth))
-    return poses if "spin" in description.holder.axes else _without_spin(poses, d)
+    return (
+        poses if "spin" in description.holder.axes else _without_spin(poses, d, leans="tilt" in description.holder.axes)
+    )
 
 
-def _without_spin(poses: list[Pose], d: Angles) -> list[Pose]:
+def _without_spin(poses: list[Pose], d: Angles, *, leans: bool) -> list[Pose]:
     """The poses that need no spin."""
     still = [pose for pose in poses if abs(math.sin(pose.spin / 2.0)) <= EXACTLY_IN_PLANE]
     if not still:
@@ -252,7 +254,7 @@ def _without_spin(poses: list[Pose], d: Angles) -> list[Pose]:
         name, phi = ("phi_i", phi_i) if theta_i > EXACTLY_IN_PLANE else ("phi_r", phi_r)
         cause = (
             f"{name} other than 0 and 180 deg needs an axis that spins the sample, and the rig has none: its arms "
-            "stay in one plane"
+            f"stay in one plane{'; its tilt leans the sample out of it: tilt_deg of a sweep' if leans else ''}"
         )
         raise Unreachable("unreachable", f"{name} = {math.degrees(phi) % 360.0:g} deg; {cause}", cause)
     return [Pose(light=p.light, camera=p.camera, tilt=p.tilt, azimuth=p.azimuth) for p in still]

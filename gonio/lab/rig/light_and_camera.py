@@ -288,7 +288,8 @@ class Bands(Strict):
         inside = [b for b in self.all() if abs(b.centre_nm - wavelength_nm) <= b.fwhm_nm / 2 + 1e-9]
         if not inside:
             bands = self.all()
-            listed = ", ".join(b.name for b in bands) if len(bands) <= 6 else f"{bands[0].name} ... {bands[-1].name}"
+            named = [f"{b.name} ({b.centre_nm - b.fwhm_nm / 2:g} to {b.centre_nm + b.fwhm_nm / 2:g} nm)" for b in bands]
+            listed = ", ".join(named) if len(bands) <= 6 else f"{named[0]} ... {named[-1]}"
             raise ConfigError(f"wavelength_nm = {wavelength_nm:g} lies in no band of the rig; it has: {listed}")
         return min(inside, key=lambda b: abs(b.centre_nm - wavelength_nm))
 

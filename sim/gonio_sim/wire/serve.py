@@ -10,6 +10,7 @@ import shlex
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,6 +73,7 @@ def serve(
         signal.signal(number, lambda *_: stop.set())
     _require_twins(choice.description)
     with Twins(choice.description, described, seed, folder=out.absolute(), scale=time_scale, tcp=tcp) as twins:
+        twins.world.step = time.time_ns() // 10**9  # no noise of an earlier serve again: a run may go on with this one
         path = out / "rig.toml"
         write_own(out, {path.name: rig_file(twins.description, Path(rig).parent).encode()})
         _require_measurable(rig, path, described)

@@ -166,6 +166,7 @@ def test_a_ratio_is_that_of_sums_and_not_of_one_wild_step() -> None:
     wild[8] = 1e5
     assert ratio(expected, wild).value == pytest.approx(2.0, rel=0.02)
     assert ratio([], []).value == 1.0
+    assert ratio([0.0, 1.0], [0.3, 1.0]) == ratio([1.0], [1.0])  # a travel of nothing takes its settling
 
 
 class Watching(Silent):

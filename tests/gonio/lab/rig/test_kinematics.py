@@ -95,8 +95,9 @@ def test_arms_alone_scan_the_plane_of_incidence(light_deg: float, camera_deg: fl
         (FLAT, Directions(0.0, 0.0, 0.5, 1.0), "phi_r"),
         (STILL, Directions(0.5, 1.0, 0.5, 1.0 + math.pi), "phi_i"),
         (describe(geometry=NO_BODIES, holder=Holder(axes=("spin",))), Directions(0.5, 0, 0.5, 2.0), "out of the plane"),
+        (describe(holder=Holder(axes=("tilt",))), Directions(0.5, 1.0, 0.5, 1.0 + math.pi), "tilt_deg of a sweep"),
     ],
-    ids=["out of plane", "azimuth of the light", "azimuth at normal incidence", "still sample", "spin alone"],
+    ids=["out of plane", "light's azimuth", "azimuth at normal incidence", "still sample", "spin alone", "tilt alone"],
 )
 def test_a_missing_axis_is_named(rig: object, asked: Directions, word: str) -> None:
     with pytest.raises(Unreachable, match=word) as caught:
