@@ -29,6 +29,7 @@ CAUSES = {
     "spin zero": "zero of the holder's spin, of a sample that has a direction",
     "noise": "photons, read noise, rounding and lamp, from frame to frame",
     "dark": "noise of the dark frames",
+    "black": "noise that the camera cuts off at black, which small values lack",
     "prnu": "responsivities of the pixels that the reference does not share (photo response non-uniformity)",
     "encoder": "encoders read whole steps",
     "zeros even": "what an axis's zero does to a curved lobe, whichever its sign",

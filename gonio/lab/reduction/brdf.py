@@ -73,9 +73,9 @@ def reduce_in_parts(run: Run, *, progress: Callable[[int, int], None] | None = N
         points share, where they differ), `s_theta_i_zero`, `s_theta_r_zero` and, with those axes,
         `s_tilt_zero`, `s_azimuth_zero`, `s_spin_zero`; `s_geometry_1` to at most `s_geometry_4` (what a
         calibration leaves open of the rig's geometry); and where the rig file or a calibration tells of them
-        `s_linearity`, `s_stray_light`, `s_beam`, `s_polarisation_1` to `_12`, `s_wavelength`, `s_bandwidth`; of
-        polarised values `s_light_extinction`, `s_light_azimuth` and the same of the receiver. A
-        plan with points behind the sample gives a column `side`.
+        `s_linearity`, `s_stray_light`, `s_black`, `s_beam`, `s_polarisation_1` to `_12`, `s_wavelength`, `s_bandwidth`;
+        of polarised values `s_light_extinction`, `s_light_azimuth` and the same of the receiver. A plan with points
+        behind the sample gives a column `side`.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from gonio.lab.acquisition.records import FrameRecord, StepRecord
 from gonio.lab.acquisition.repeats import FramePixels, repeated, some_rows_sha256
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import merging, stray_light
-from gonio.lab.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns
+from gonio.lab.reduction.dark_signal import FEW, PATTERNS, Darks, Patterns, u_black
 from gonio.lab.reduction.geometry_errors import GeometryErrors
 from gonio.lab.reduction.merging import Region, Shot, pool, pool_pixels
 from gonio.lab.reduction.step_rates import Reduced, Rejected
@@ -241,6 +241,8 @@ class RunFrames:
         self.darks_taken, self.darks_used = len({float(frame.exposure_s) for _, frame in frames}), len(used)
         empty = [float(np.mean(crop == 0)) for taken in crops.values() for _, crop in taken]
         self.clipped = sum(empty) / len(empty)
+        dark = {t: [crop.ravel() for taken in crops.values() for at, crop in taken if at == t] for t in sorted(used)}
+        self._u_black = list(dark), [u_black(camera, np.concatenate(own)) for own in dark.values()]
         rate = camera.dark_current_e_per_s / camera.electrons_per_dn
         self._dark_means = _lines(means, self._channels, rate)
         if self.description.acquisition.by_pixels:
@@ -326,7 +328,7 @@ class RunFrames:
         values = linear_dn(camera, region.roi.of(frame.mosaic)).astype(float)
         linear, by_camera = self._freed(region, frame, values, channel)
         gain, full = camera.electrons_per_dn, full_scale_dn(camera, frame)
-        lamp = self.lamp(entry)
+        lamp, hidden = self.lamp(entry), float(np.interp(frame.exposure_s, *self._u_black))
         by_pixels = self.description.acquisition.by_pixels
         return Shot(
             rate=float(np.mean(linear * gain * region.per_weight)) / frame.exposure_s / lamp,
@@ -336,6 +338,7 @@ class RunFrames:
             leverage=darks.leverage(frame.exposure_s),
             by_camera=np.mean(by_camera * (gain * region.per_weight), axis=1) / frame.exposure_s / lamp,
             lamp=lamp,
+            hidden=hidden * gain * float(np.mean(region.per_weight)) / frame.exposure_s / lamp,
             electrons=linear * gain if by_pixels else None,
             levels=(values - frame.black_level_dn) / full if by_pixels else None,
         )
@@ -420,6 +423,7 @@ class RunFrames:
             left_out=len(taken) - merged.frames,
             pixels=region.lit.count,
             by_camera=weights @ np.array([shot.by_camera for shot in shots]),
+            hidden=float(weights @ [shot.hidden for shot in shots]),
             shared=region.lit.shared(reference) if reference is not None else 0,
             by_pixels=self._by_pixels(region, band.channel),
             directions=kinematics.directions(self.description, step.pose),

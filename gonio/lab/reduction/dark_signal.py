@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 
+from gonio.checks.values import CLIPPED
+from gonio.lab.rig.light_and_camera import Camera
 from gonio.lab.rig.regions import Roi
 from gonio.typing import Array, Floats
 
@@ -68,6 +70,36 @@ class Darks:
         away = (exposure_s - self._centre) / self._spread
         shares = [1.0 / self._count + away * (group - self._centre) for group in self._groups]
         return np.array([math.copysign(float(np.linalg.norm(share)), float(share.sum())) for share in shares])
+
+
+def u_black(camera: Camera, values: Array) -> float:
+    """Standard uncertainty [DN] of dark and of small signals, from noise that is cut off at 0; 0 where none is.
+
+    The part of the pixels that read 0, and the mean of all, tell mean and deviation of the normal number that was cut
+    off at half a step (Tobin 1958). The mean of what is left is too high by their difference: so much is missing of a
+    signal well above the noise, and less of smaller ones. A response curve was measured with the same noise, without
+    dark current: near black it is wrong by at most what is cut off there of a mean of 0, 0.4 deviations.
+
+    Parameters
+    ----------
+    values
+        What pixels read in dark frames of one exposure, linear [DN].
+    """
+    from scipy.special import ndtri
+
+    half, zero, mean = (
+        0.5 * (camera.response[1] if camera.response else 1.0),
+        float(np.mean(values == 0)),
+        values.mean(),
+    )
+    if zero == 1.0:  # a camera without noise; of one with a curve, black may be anything that reads 0
+        return half if camera.response else 0.0
+    if zero <= CLIPPED:
+        return 0.0
+    z, density = float(ndtri(zero)), math.sqrt(0.5 / math.pi)
+    deviation = (mean - half * (1.0 - zero)) / (density * math.exp(-0.5 * z * z) - z * (1.0 - zero))
+    of_curve = density * deviation / math.sqrt(3.0) if camera.response else 0.0
+    return math.hypot(mean - half + z * deviation, of_curve)
 
 
 class Patterns:

@@ -226,6 +226,13 @@ def camera(measured: MeasuredBand, values: Values) -> None:
     values.common |= {name: change @ direction for name, direction in _causes(measured.description).items()}
 
 
+def black(measured: MeasuredBand, values: Values) -> None:
+    """Add `s_black`, where the dark frames say that noise is cut off at black: small signals come out too low."""
+    visit, hidden = measured.visit, np.array([point.hidden for point in measured.points])
+    if visit.hidden:
+        values.common["s_black"] = values.brdf * (visit.hidden / visit.rate) - hidden / measured.level
+
+
 def _causes(description: RigDescription) -> dict[str, Floats]:
     """Independent directions of the calibration's covariance of the camera, in `camera_parameters`, by their columns.
 
@@ -244,4 +251,4 @@ def _causes(description: RigDescription) -> dict[str, Floats]:
     return out
 
 
-CAUSES: tuple[Cause, ...] = (camera, beam, polarisation)
+CAUSES: tuple[Cause, ...] = (camera, black, beam, polarisation)

@@ -320,6 +320,8 @@ class Shot:
     """Derivatives of the rate by `camera_parameters`."""
     lamp: float
     """The reading of the lamp's monitor over its mean in the run; 1 without a monitor."""
+    hidden: float = 0.0
+    """What may be missing of the rate [e-/s], where noise is cut off at black: `gonio.lab.reduction.dark_signal`."""
     electrons: Floats | None = None
     """Signals of the used pixels [e-], where frames are merged by pixels."""
     levels: Floats | None = None

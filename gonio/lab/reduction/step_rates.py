@@ -53,6 +53,8 @@ class Reduced:
     """How many the light falls on."""
     by_camera: Floats
     """Derivatives of the rate by `camera_parameters`."""
+    hidden: float
+    """What may be missing of the rate [e-/s], where noise is cut off at black; a standard uncertainty."""
     shared: int
     """How many of the pixels the first visit to the reference uses too."""
     by_pixels: Floats

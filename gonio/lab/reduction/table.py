@@ -16,6 +16,7 @@ bound is known, that would be more than is known: such a cause is spread over se
 - `s_..._zero`, `s_geometry_1` ...: the values' own slopes; how uncertain these are is `coarse_steps`.
 - `s_linearity`, `s_stray_light`: derivatives of the calibration's model at each value, exact if the model is (a
   polynomial; an even part and a halo).
+- `s_black`: what is missing of signals well above the noise that is cut off at black; smaller ones lack less.
 - `s_beam`: moments of each region; the strongest pattern is the column, the rest is `beam`.
 - `s_polarisation_1` ...: a bound whose shape is not known: a random function of the directions; twelve columns and
   `polarisation`.
@@ -276,7 +277,7 @@ def notes_on_frames(frames: RunFrames) -> list[str]:
     if CLIPPED < frames.clipped < 1.0:
         out.append(
             f"{100.0 * frames.clipped:.2g} % of the pixels of the dark frames read 0 DN: what lies below is cut off, "
-            "and values are too low by more than u_brdf says where the signal is small; raise the camera's black level"
+            "and small values come out too low, by about s_black; raise the camera's black level"
         )
     if frames.full > FULL:
         out.append(

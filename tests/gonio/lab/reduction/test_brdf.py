@@ -190,6 +190,46 @@ def test_a_lamp_that_jumps_is_interpolated_and_said_so(tmp_path: Path) -> None:
     assert np.mean(abs(pulls(table, glossy)) <= 2) > 0.9
 
 
+class Coded(Maker):
+    """A camera of 8 bits whose values are coded by its curve."""
+
+    def sensor(self, electrons: Floats) -> npt.NDArray[np.uint16]:
+        assert self.rng is not None
+        camera = self.description.camera
+        read = self.rng.poisson(electrons) + self.rng.normal(0.0, camera.read_noise_e, electrons.shape)
+        coded = np.interp(read / camera.electrons_per_dn, camera.response, np.arange(256.0))
+        return np.rint(coded).astype(np.uint16)
+
+
+@pytest.mark.parametrize("dark_e_per_s", [0.0, 5.0])
+@pytest.mark.parametrize("coded", [False, True])
+def test_where_noise_is_cut_off_at_black_u_holds_what_small_values_lack(
+    tmp_path: Path, coded: bool, dark_e_per_s: float
+) -> None:
+    """Values from 0.3 to 60 electrons a pixel, with a read noise of 8, and a mean over 500 pixels."""
+    c = np.arange(256) / 255.0
+    curve = 255.0 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    bits = {"bits": 8, "electrons_per_dn": 39.0, "response": tuple(curve), "full_well_e": 10_000.0} if coded else {}
+    camera = bits | {
+        "black_level_dn": 0.0, "read_noise_e": 8.0, "dark_current_e_per_s": dark_e_per_s, "photon_noise": True,
+    }  # fmt: skip
+    description = describe(camera=camera, reference={"frames": 4, "albedo": 0.2 if coded else 0.99})
+    points = [in_plane(10.0, r) for r in range(-80, 85, 10) if abs(r + 10) > 5]
+    maker = (Coded if coded else Maker)(tmp_path, description, black_ramp, np.random.default_rng(4))
+    table = reduce(maker.make(points, (0.5, 0.5, 0.5, 0.5), every=40))
+    off = table["brdf"] - truth(table, black_ramp)
+    # what is missing is at most one s_black; the rest has 1/10 of its size
+    assert np.all(abs(off) < 1.3 * table["u_brdf"])
+    assert np.max(-off / np.sqrt(table["u_brdf"] ** 2 - table["s_black"] ** 2)) > 3.0, "without it u holds nothing"
+    assert np.all(table["s_black"] < 0)
+    assert any("by about s_black" in note for note in table.attrs["notes"])
+
+
+def black_ramp(d: Directions) -> float:
+    """From 5e-6 to 1e-3 1/sr."""
+    return float(5e-6 * 200.0 ** (math.degrees(d.theta_r) / 80.0))
+
+
 def test_one_visit_says_that_the_drift_is_unknown(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:3], (0.25,))
     run.taken = [e for e in run.taken if e.kind != "reference" or e.step < 3]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gonio.lab.reduction import dark_signal
-from gonio.lab.reduction.dark_signal import COLUMNS, PATTERNS, Darks, Patterns, strongest
+from gonio.lab.reduction.dark_signal import COLUMNS, PATTERNS, Darks, Patterns, strongest, u_black
+from gonio.lab.rig.light_and_camera import Camera
 from gonio.lab.rig.regions import Roi
 
 
@@ -48,6 +49,24 @@ def test_the_line_of_dark_frames_is_that_of_least_squares() -> None:
     np.testing.assert_allclose(darks.leverage(5.0), expected, rtol=1e-12)
     alone = Darks([(0.5, stack[0])], *BOX, rate=2.0)  # one exposure: its slope is the data sheet's
     np.testing.assert_allclose(alone.of(region, 1.5), used[0][region.mask] + 2.0, rtol=1e-15)
+
+
+@pytest.mark.parametrize("mean", [-24.0, -8.0, 0.0, 16.0, 32.0])
+def test_what_is_cut_off_at_black_is_told_by_what_is_left(mean: float) -> None:
+    """Normal numbers of deviation 16 DN, as frames hold them."""
+    signal = np.random.default_rng(1).normal(mean, 16.0, 400_000)
+    drawn = np.maximum(np.rint(signal), 0.0)
+    # 0.1 DN: of 400 000 numbers the share that reads 0 tells the place to 0.004 deviations
+    assert u_black(Camera(), drawn) == pytest.approx(drawn.mean() - signal.mean(), rel=0.01, abs=0.1)
+    curve = Camera(bits=8, black_level_dn=0.0, response=tuple(range(256)))
+    more = u_black(curve, drawn) ** 2 - u_black(Camera(), drawn) ** 2
+    assert more == pytest.approx((0.4 * 16.0) ** 2 / 3.0, rel=0.03)  # the mean of what a cut at 0 adds to a mean of 0
+
+
+def test_a_camera_without_noise_cuts_nothing_off_and_one_with_a_curve_may() -> None:
+    black = np.zeros(1000)
+    assert u_black(Camera(), black) == u_black(Camera(), black + 64.0) == 0.0
+    assert u_black(Camera(bits=8, black_level_dn=0.0, response=(0.0, *np.linspace(0.2, 255.0, 255))), black) == 0.1
 
 
 def test_patterns_hold_what_regions_share() -> None:
