@@ -78,9 +78,8 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         yield page
 
 
-@pytest.fixture
-def cluster() -> Iterator[Any]:
-    """A Dask cluster of two workers, processes of their own, on the loopback."""
+@pytest.fixture(scope="module")
+def _one_cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed", reason="the extra gonio[dask] is not installed")
     with distributed.LocalCluster(
         n_workers=2,
@@ -91,8 +90,15 @@ def cluster() -> Iterator[Any]:
         dashboard_address="127.0.0.1:0",
     ) as found:
         yield found
-        # to be closed while it starts a worker anew is an error of distributed's own: wait until those are back that a
-        # test has ended; a minute, so that a failure ends
-        ends = time.monotonic() + 60.0
-        while len(found.scheduler.workers) < len(found.workers) and time.monotonic() < ends:
-            time.sleep(0.02)
+
+
+@pytest.fixture
+def cluster(_one_cluster: Any) -> Iterator[Any]:
+    """A Dask cluster of two workers, processes of their own, on the loopback; those that a test ends are started anew.
+
+    To be closed while it starts a worker anew is an error of distributed's own: tests wait until they are back.
+    """
+    yield _one_cluster
+    ends = time.monotonic() + 60.0  # so that a failure ends
+    while len(_one_cluster.scheduler.workers) < len(_one_cluster.workers) and time.monotonic() < ends:
+        time.sleep(0.02)

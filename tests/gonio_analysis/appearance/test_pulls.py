@@ -17,7 +17,7 @@ from tests.gonio_analysis.synthetic import known
 
 pytestmark = pytest.mark.slow
 
-RUNS = int(os.environ.get("GONIO_PULLS", "60"))
+RUNS = int(os.environ.get("GONIO_PULLS", "32"))
 SCATTER = 4.0 / math.sqrt(2.0 * RUNS)
 """Four standard deviations of a standard deviation of so many draws: 138 values are looked at, of which one lies beyond
 three in a third of all sets of draws, and beyond four in one of a hundred."""

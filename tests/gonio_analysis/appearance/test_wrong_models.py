@@ -52,17 +52,17 @@ def numbers(found: Appearance) -> list[tuple[float, float]]:
 
 @pytest.mark.parametrize("residual", [False, True])
 def test_what_is_stated_holds(residual: bool) -> None:
-    """Twelve tables of samples that no model has, each with a model that comes near."""
+    """Eight tables of samples that no model has, each with a model that comes near."""
     pulls, wide = [], []
-    for seed in range(6):
+    for seed in range(4):
         for plan, model in (("hemisphere", "cook-torrance"), ("in plane", "blinn")):
             table, of = of_facets(40 + seed, plan)
             stated = numbers(of_fit(fit(table, model), name="a sample", residual=residual))
             true = numbers(of_model(Facets(of), name="truth"))
             pulls += [(value - t) / u for (value, u), (t, _) in zip(stated, true, strict=True)]
             wide += [u / t for (_, u), (t, _) in zip(stated, true, strict=True)]
-    # 95 % are stated; the numbers of one table are alike, so twelve tables are worth some 40: 3 sigma below is 85 %
-    assert np.mean(np.abs(pulls) < 1.96) >= 0.85
+    # 95 % are stated; the numbers of one table are alike, so eight tables are worth some 27: 3 sigma below is 82 %
+    assert np.mean(np.abs(pulls) < 1.96) >= 0.82
     assert np.sqrt(np.mean(np.square(pulls))) > 0.3, "nor are they so wide that they say nothing"
     assert np.median(wide) < 0.05
 

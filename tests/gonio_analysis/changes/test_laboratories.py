@@ -101,7 +101,7 @@ def test_a_reference_a_zero_and_an_understatement_are_found_and_nobody_else_is_a
 @pytest.mark.parametrize("shape", [lobe, matt])
 def test_honest_laboratories_agree_and_the_consensus_is_the_truth(shape: Any) -> None:
     pulls = []
-    for seed in range(6):
+    for seed in range(4):
         rng = np.random.default_rng(900 + seed)
         found = compared({name: measured(rng, shape=shape) for name in "ABCDE"})
         assert found.agree
@@ -111,7 +111,7 @@ def test_honest_laboratories_agree_and_the_consensus_is_the_truth(shape: Any) ->
         d = found.at.directions
         true = shape(np.degrees(d.theta_i), np.degrees(d.signed)).mean()
         pulls.append((found.mean / true - 1.0) / found.scales.reference.u)
-    assert np.abs(pulls).max() < 3.2  # six of a normal distribution, at 1 %
+    assert np.abs(pulls).max() < 3.2  # four of a normal distribution, at 0.6 %
     assert found.scales.reference.u == pytest.approx(0.005 / np.sqrt(5), rel=0.2)
 
 
@@ -120,21 +120,21 @@ def test_the_most_precise_of_three_is_not_accused_for_its_precision() -> None:
     """By how much more it could scatter is hardly known: 18 of 40 were accused where that was taken as known."""
     rng = np.random.default_rng(77)
     noises, accused = {"A": 0.002, "B": 0.02, "C": 0.02}, 0
-    for _ in range(16):
+    for _ in range(10):
         found = by_name(compared({name: measured(rng, noise=u, step=5.0) for name, u in noises.items()}))
         accused += not found["A"].scatter_consistent
-    assert accused <= 1  # of 16 at a level of 0.1 %: 1.6 % by chance once, 0.01 % twice
+    assert accused <= 1  # of 10 at a level of 0.1 %: 1 % by chance once, 0.005 % twice
 
 
 @pytest.mark.slow
 def test_interpolations_that_err_to_one_side_accuse_nobody() -> None:
-    """Of a narrow lobe, in steps of 2 to 3 degrees; all of these 12 were accused where each erred to its own side."""
+    """Of a narrow lobe, in steps of 2 to 3 degrees; all of these 6 were accused where each erred to its own side."""
     rng = np.random.default_rng(78)
     steps, accused = {"A": 2.0, "B": 2.5, "C": 3.0, "D": 3.0}, 0
-    for _ in range(12):
+    for _ in range(6):
         tables = {name: measured(rng, noise=0.002, step=step, shape=narrow) for name, step in steps.items()}
         accused += not all(x.scatter_consistent for x in compared(tables).laboratories)
-    assert accused <= 1  # of 12 at a level of 0.3 %: 4 % by chance once
+    assert accused == 0  # of 6 at a level of 0.3 %: 2 % by chance
 
 
 def test_a_flat_sample_shows_no_zero() -> None:

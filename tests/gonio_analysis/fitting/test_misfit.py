@@ -154,7 +154,7 @@ def test_errors_by_blocks_are_those_of_fits_without_each_block() -> None:
 def test_intervals_hold_on_samples_that_no_model_has(model: str) -> None:
     """rho_dh of the model, and parameters from two plans of one sample."""
     pulls, apart = [], []
-    for seed in range(12):
+    for seed in range(8):
         fits = []
         for plan in ("in plane", "hemisphere"):
             table, of = of_facets(100 + seed, plan)
@@ -177,9 +177,9 @@ def test_intervals_hold_on_samples_that_no_model_has(model: str) -> None:
         u = np.sqrt(np.diag(a.spread) + np.diag(b.spread))
         free = [k for k, n in enumerate(a.free) if not a.parameters[n].at_bound and not b.parameters[n].at_bound]
         apart += [(a.vector[k] - b.vector[k]) / u[k] for k in free if math.isfinite(u[k])]
-    # 95 % are stated. Values of one sample are alike: 24 tables are worth some 100 independent ones, 3 sigma are 7 %
-    assert np.mean(np.abs(pulls) < 1.96) >= 0.88
-    assert np.mean(np.abs(apart) < 1.96) >= 0.80  # of 40, 3 sigma below 95 % are 85 %; neighbours of 4 are correlated
+    # 95 % are stated. Values of one sample are alike: 16 tables are worth some 65 independent ones, 3 sigma are 8 %
+    assert np.mean(np.abs(pulls) < 1.96) >= 0.87
+    assert np.mean(np.abs(apart) < 1.96) >= 0.80  # of 27, 3 sigma below 95 % are 82 %; neighbours of 4 are correlated
     assert np.sqrt(np.mean(np.square(pulls))) > 0.5, "nor are they so wide that they say nothing"
 
 

@@ -95,11 +95,3 @@ def test_tables_outlive_a_client_and_a_worker(tmp_path: Path, cluster: Any) -> N
     found = many_tables.make(folder, there, asked, Reading(), dask=cluster.scheduler_address, count=kill)
     assert found.before >= 1
     assert there.read_bytes() == here.read_bytes()
-
-
-@pytest.mark.filterwarnings("default")
-def test_tables_on_a_cluster(tmp_path: Path, cluster: Any) -> None:
-    folder, asked = str(tables(tmp_path / "tables")), FitRequest("oren-nayar")
-    for name, dask in (("here", None), ("there", cluster.scheduler_address)):
-        many_tables.make(folder, tmp_path / f"{name}.csv", asked, Reading(), dask=dask, count=lambda done, total: None)
-    assert (tmp_path / "there.csv").read_bytes() == (tmp_path / "here.csv").read_bytes()

@@ -92,14 +92,14 @@ def test_errors_that_live_on_a_lobe_agree_with_the_bound_and_not_with_one_column
 def test_the_true_model_is_not_rejected_on_polarised_rigs(tmp_path: Path) -> None:
     """Before, with one column, most of such rigs rejected it at the level of 1 %."""
     rigs, rejected = tool("polarised_rigs"), 0
-    for number in range(12):
+    for number in range(7):
         (tmp_path / str(number)).mkdir()
         found, what = rigs.measured(tmp_path / str(number), 1, number)
         table = found.table[found.table["flag"] == ""].reset_index(drop=True)
         table.attrs = found.table.attrs
         off = table["brdf"].to_numpy() - truth(table, what)
         rejected += int(chi2.sf(chi_square(table, off), len(table)) < 0.05)
-    assert rejected <= 2  # of 12 at 5 %: more in 2 % of the cases
+    assert rejected <= 1  # of 7 at 5 %: more in 4 % of the cases
     fitted = rigs.judged(found, what)
     assert fitted.result.p_value > 0.01
     # one of some numbers of one rig lies beyond 3.5 u in 1 of 400 cases

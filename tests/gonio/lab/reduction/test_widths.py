@@ -15,7 +15,7 @@ from tests.gonio.lab.reduction.drawn_runs import rig
 from tests.gonio.lab.reduction.widths import MATTE, of_map, of_table, plan, silent, width, without_certificate
 
 pytest.importorskip("h5netcdf")
-SEEDS = 32  # four times every combination of signs of the zeros
+SEEDS = 16  # twice every combination of signs of the zeros
 WANTED = 0.92, 1.03
 
 
@@ -27,10 +27,10 @@ def test_values_scatter_as_their_uncertainties_say(tmp_path: Path) -> None:
     assert WANTED[0] - 2.0 * found.u_rms < found.rms < WANTED[1] + 2.0 * found.u_rms
     assert WANTED[0] - 2.0 * found.u_chi_square < found.chi_square < WANTED[1] + 2.0 * found.u_chi_square
     assert found.u_rms < 0.05
-    assert found.u_chi_square < 0.06
+    assert found.u_chi_square < 0.085  # chi-square of so many seeds tells an error of u of a tenth
     assert found.by_value.size >= 22  # three of 25 values have a spike or a slope that these steps leave open
-    # one value of 32 seeds is known to 13 %: three of these beyond 1.1
-    assert found.by_value.max() < 1.1 * 1.39
+    # one value of 16 seeds is known to 18 %: three of these beyond 1.1
+    assert found.by_value.max() < 1.1 * 1.53
 
 
 @pytest.mark.slow
