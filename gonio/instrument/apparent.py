@@ -27,7 +27,7 @@ from gonio.models._hemisphere import gauss
 from gonio.models.parameters import checked_wavelength, choice, number
 from gonio.typing import ArrayLike, Floats, Ints
 
-STEPS = 8192
+STEPS = 2048
 """Steps of the table of rho_s from cos(theta) = 0 to 1."""
 GRAIN = 4096  # geometries worth a thread of their own
 
@@ -196,7 +196,7 @@ class Cones:
 
     def rules(self, model: Model, *, wavelength_nm: float = 550.0) -> Rules:
         """Rules of the average over the cones for this model, which `lobe` can take for similar ones."""
-        return self._lobe(model, wavelength_nm).choose(self._omega_i, self._omega_r)[1]
+        return Rules(self._lobe(model, wavelength_nm).choose(self._omega_i, self._omega_r)[1])
 
     def _lobe(self, model: Model, wavelength_nm: float) -> Lobe:
         return Lobe(model, checked_wavelength(wavelength_nm), *self._half_angles, self._tolerance)

@@ -385,8 +385,12 @@ def at_geometry(kernel: Kernel, constants: Constants, where: Geometry, *, split:
 def over_thetas(evaluate: Callable[[Floats, float], Floats], theta_i: ArrayLike, wavelength_nm: ArrayLike) -> Any:
     """``evaluate(flat theta_i, wavelength) -> flat`` over checked arguments that broadcast."""
     theta = real_array("theta_i", theta_i)
-    check_angles([theta, *[np.zeros(1)] * 3])
+    if not _in_range("theta_i", theta).all():
+        raise explain([theta, *[np.zeros(1)] * 3])
     waves = real_array("wavelength_nm", wavelength_nm)
+    if not waves.ndim:
+        flat_ = np.ascontiguousarray(theta).reshape(-1)
+        return evaluate(flat_, checked_wavelength(waves.item())).reshape(theta.shape)[()]
     shape = common_shape(("theta_i", "wavelength_nm"), [theta.shape, waves.shape])
     theta, waves = np.broadcast_to(theta, shape).ravel(), np.broadcast_to(waves, shape).ravel()
     out = np.empty(theta.shape)

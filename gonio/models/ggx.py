@@ -264,18 +264,40 @@ class GGXMultiscatter(GGX):
 
     def _between_facets(self, wavelength_nm: float) -> tuple[Floats, float, float]:
         """Coefficients of 1 - E at this width, 1 - E_avg, and the share of it that leaves again."""
-        place = 2.0 * math.log(self.alpha / NARROWEST) / -math.log(NARROWEST) - 1.0
-        lost = np.asarray(chebyshev.chebval(place, _lost_energy()))
-        x, w = gauss(64)
-        mu, weight = 0.5 * (x + 1.0), 0.5 * w * (x + 1.0)
-        gone = float(weight @ self._at(mu, lost))
-        f = float(weight @ reflectance(mu, index_at(self.ior, wavelength_nm)))
+        lost, gone = _between(self.alpha)
+        f = _mean_reflectance(index_at(self.ior, wavelength_nm))
         return lost, gone, f * f * (1.0 - gone) / (1.0 - f * gone)
 
     def _at(self, mu: Floats, lost: Floats) -> Floats:
         """1 - E."""
-        x = 2.0 * mu * (1.0 + self.alpha) / (mu + self.alpha) - 1.0
-        return np.asarray(np.maximum(chebyshev.chebval(x, lost), 0.0))
+        return _lost_at(self.alpha, mu, lost)
+
+
+def _lost_at(alpha: float, mu: Floats, lost: Floats) -> Floats:
+    """1 - E by its coefficients at a width."""
+    x = 2.0 * mu * (1.0 + alpha) / (mu + alpha) - 1.0
+    return np.asarray(np.maximum(chebyshev.chebval(x, lost), 0.0))
+
+
+def _cosines() -> tuple[Floats, Floats]:
+    """Nodes and weights of a cosine-weighted mean."""
+    x, w = gauss(64)
+    return 0.5 * (x + 1.0), 0.5 * w * (x + 1.0)
+
+
+@functools.lru_cache(maxsize=16)  # a fit's derivatives move one parameter at a time
+def _between(alpha: float) -> tuple[Floats, float]:
+    """Coefficients of 1 - E at a width, and 1 - E_avg."""
+    place = 2.0 * math.log(alpha / NARROWEST) / -math.log(NARROWEST) - 1.0
+    lost, (mu, weight) = np.asarray(chebyshev.chebval(place, _lost_energy())), _cosines()
+    return lost, float(weight @ _lost_at(alpha, mu, lost))
+
+
+@functools.lru_cache(maxsize=16)
+def _mean_reflectance(index: complex) -> float:
+    """F_avg."""
+    mu, weight = _cosines()
+    return float(weight @ reflectance(mu, index))
 
 
 @functools.cache
