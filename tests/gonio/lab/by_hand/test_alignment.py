@@ -22,7 +22,8 @@ from gonio.lab.by_hand import alignment
 from gonio.lab.by_hand.alignment import COLUMNS, align, peak
 from gonio.lab.by_hand.alignment_scans import DIMMED, LONGEST_S, Scans
 from gonio.lab.rig import Frame, Pose
-from gonio.lab.rig.description import RigDescription
+from gonio.lab.rig.description import ArmAxis, Arms, RigDescription
+from gonio.lab.rig.light_and_camera import Lamp
 from gonio.typing import Floats
 from tests.command_line import gonio, says, some
 from tests.gonio.numpy_rig import describe
@@ -344,3 +345,25 @@ def test_metering_ends_between_a_quarter_and_what_is_aimed_at(level_per_s: float
     else:
         assert 0.24 < level < 1.02 * target
     assert (bench.dimmed < 1.0) == (level_per_s * bench.description.camera.exposure_limits_s[0] >= 0.9)
+
+
+class FaceToFace(Bench):
+    """Its camera looks into the lamp where it reads 181.25 deg less than the light arm, or 178.75 deg more."""
+
+    def capture(self, exposure_s: float) -> Frame:
+        off = math.remainder(math.degrees(self.at.camera - self.at.light) + 181.25, 360.0)
+        there = replace(self.at, light=0.0, camera=math.radians(SUM_DEG + off))
+        return Bench(self.description, self.fwhm_deg, self.level_per_s, there, self.dimmed).capture(exposure_s)
+
+
+def test_what_the_first_scan_tells_decides_where_the_others_have_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that was 2.7 deg off, as one is that a limit cuts short: with light at 88 deg there is no room."""
+    axis = ArmAxis(limits_deg=(-95.0, 95.0), backlash_deg=0.25)
+    lamp, camera = Lamp(half_angle_deg=1.5), {"lens_half_angle_deg": 0.75}
+    bench = FaceToFace(describe(arms=Arms(light=axis, camera=axis), lamp=lamp, camera=camera), fwhm_deg=2.9)
+    work = scans(bench)
+    monkeypatch.setattr(work, "_begin_straight", lambda: -181.25 + 2.7)
+    work.straight_through()
+    table = work.table
+    assert table.groupby("scan")["light_encoder_deg"].first().tolist() == [90.0, -90.0, 92.0, -92.0]
+    assert table["camera_encoder_deg"].abs().max() <= 94.75 + 1e-9  # beyond, the backlash is not taken up
