@@ -153,7 +153,7 @@ FORMAT = Format(
     name="alta",
     title="ALTA text",
     endings=(".dat", ".alta"),
-    sniff=lambda head: re.search(rb"^#PARAM_IN\b", head, re.MULTILINE) is not None,
+    sniff=lambda head: b"#PARAM_IN" in head and re.search(rb"^#PARAM_IN\b", head, re.MULTILINE) is not None,
     read=read,
     write=write,
 )

@@ -144,6 +144,9 @@ FORMAT = Format(
     name="fred",
     title="FRED and RPC Photonics blocks of angles and values",
     endings=(),
-    sniff=lambda head: re.search(rb"^(type\s+bsdf_data\s*$|!!\s*BSDF\s+Data\b)", head, re.I | re.MULTILINE) is not None,
+    sniff=lambda head: (
+        b"bsdf" in head.lower()
+        and re.search(rb"^(type\s+bsdf_data\s*$|!!\s*BSDF\s+Data\b)", head, re.I | re.MULTILINE) is not None
+    ),
     read=read,
 )

@@ -318,33 +318,35 @@ def check_columns(header: list[str], where: str, *, needed: tuple[str, ...] = CO
 
 def check(frame: DataFrame, where: Any) -> None:
     """`DataError` naming row and column of the first value that is not allowed; `where(row)` says where a row lies."""
-    flagged = (frame["flag"] != "").to_numpy()
     if len(frame) == 0:
         raise DataError(f"{where(0)}: the table has no rows")
+    bare = frame.copy(deep=False)
+    bare.attrs = {}  # which each access to a column would copy
+    there = {name: bare[name] for name in bare.columns}
+    flagged = ~np.asarray(_one_of(there["flag"], lambda word: word == ""))
 
     def demand(ok: Any, column: str, allowed: str) -> None:
         bad = np.flatnonzero(~np.asarray(ok, dtype=bool))
         if bad.size:
-            value = frame[column].iloc[int(bad[0])]
+            value = there[column].iloc[int(bad[0])]
             shown = f"{value:.9g}" if isinstance(value, float) else repr(value)[:40]
             raise DataError(f"{where(int(bad[0]))}: {column} = {shown}; {allowed}")
 
     def of(column: str) -> Floats:
-        return frame[column].to_numpy(np.float64)
+        return there[column].to_numpy(np.float64)
 
     def known(values: Floats) -> Bools:
         """Which are unknown (NaN), or finite and not negative."""
         return np.isnan(values) | ((values >= 0) & np.isfinite(values))
 
-    _check_angles(frame, demand)
+    _check_angles(there, demand)
     wavelength, value = of("wavelength_nm"), of("brdf")
     demand(known(wavelength) & (wavelength != 0), "wavelength_nm", "a positive number, or NaN for a broad band")
     told = "from 100 to 200000 nanometres; of a column in micrometres: --columns wavelength=NAME:um"
     demand(~((wavelength < 100.0) | (wavelength > 200_000.0)), "wavelength_nm", told)
-    words = _one_of(frame["polarisation"], lambda word: word in polarisation.WORDS)
+    words = _one_of(there["polarisation"], lambda word: word in polarisation.WORDS)
     demand(words, "polarisation", polarisation.SAID)
     demand(np.isfinite(value) | flagged, "brdf", "a row without a flag needs a finite value [1/sr]")
-    there = set(frame.columns)
     for column in (name for name in ("u_brdf", "u_random", U_ANGLES) if name in there):
         told = "a standard uncertainty [1/sr] >= 0, or NaN where it is unknown"
         demand(known(of(column)) | flagged, column, told)
@@ -356,30 +358,26 @@ def check(frame: DataFrame, where: Any) -> None:
         demand(~np.isinf(of(column)), column, told)
     for column in (name for name in U_MUELLER if name in there):
         demand(known(of(column)), column, "a standard uncertainty >= 0, or NaN")
-    causes = [column for column in frame.columns if column.startswith("s_")]
-    for first in range(0, len(causes), 64):  # each access to a table copies its attributes
-        several = causes[first : first + 64]
-        finite = np.isfinite(frame[several].to_numpy(np.float64)) | flagged[:, np.newaxis]
-        for k in np.flatnonzero(~finite.all(axis=0)):
-            demand(finite[:, k], several[k], "a row without a flag needs a finite value [1/sr]")
+    for column in (name for name in there if name.startswith("s_")):
+        demand(np.isfinite(of(column)) | flagged, column, "a row without a flag needs a finite value [1/sr]")
     for column in (name for name in ("flag", "sample") if name in there):
-        demand(_one_of(frame[column], lambda word: isinstance(word, str)), column, "text is needed")
+        demand(_one_of(there[column], lambda word: isinstance(word, str)), column, "text is needed")
 
 
-def _check_angles(frame: DataFrame, demand: Callable[[Any, str, str], None]) -> None:
-    through = nowhere = np.zeros(len(frame), dtype=bool)
-    if "side" in frame.columns:
-        demand(_one_of(frame["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
-        through = (frame["side"] == "transmission").to_numpy()
+def _check_angles(there: Mapping[str, Series], demand: Callable[[Any, str, str], None]) -> None:
+    through = nowhere = np.zeros(len(there["theta_i_deg"]), dtype=bool)
+    if "side" in there:
+        demand(_one_of(there["side"], lambda word: word in SIDES), "side", f"one of {', '.join(SIDES)}")
+        through = (there["side"] == "transmission").to_numpy()
     polar = "polar angles lie in [0, 90] degrees; write (-theta, phi) as (theta, phi + 180)"
     seen = polar + '; of transmission they go on to 180, in rows whose column "side" says "transmission"'
     told = 'a row whose column "side" says "transmission" has its detector behind the sample, in (90, 180] degrees'
     for column, behind, stated in (("theta_i_deg", nowhere, polar), ("theta_r_deg", through, seen)):
-        theta = frame[column].to_numpy(np.float64)
+        theta = there[column].to_numpy(np.float64)
         demand(behind | ((theta >= 0) & (theta <= 90)), column, stated)
         demand(~behind | ((theta > 90) & (theta <= 180)), column, told)
     for column in ("phi_i_deg", "phi_r_deg"):
-        phi = frame[column].to_numpy(np.float64)
+        phi = there[column].to_numpy(np.float64)
         demand((phi >= 0) & (phi < 360), column, f"azimuths lie in [0, 360) degrees; {_TURNED}")
 
 
@@ -488,7 +486,9 @@ def uncertainty(frame: DataFrame) -> tuple[Floats, Floats, list[str]]:
         The names of the k causes, without `s_`.
     """
     columns = [name for name in frame.columns if name.startswith("s_")]
-    common = frame[columns].to_numpy(np.float64) if columns else np.zeros((len(frame), 0))
+    common = np.empty((len(frame), len(columns)))
+    for k, name in enumerate(columns):
+        common[:, k] = frame[name].to_numpy(np.float64)
     independent = frame["u_random"].to_numpy(np.float64)
     rest = np.sqrt(np.maximum(frame["u_brdf"].to_numpy(np.float64) ** 2 - (common**2).sum(axis=1), 0.0))
     return np.where(np.isnan(independent), rest, independent), common, [name.removeprefix("s_") for name in columns]

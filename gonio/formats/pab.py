@@ -153,7 +153,8 @@ FORMAT = Format(
     title="pab gonio-photometer text",
     endings=(),
     sniff=lambda head: (
-        re.search(rb"^#((?i:format:\s*theta\s+phi)|intheta|incident_angle)\s", head, re.MULTILINE) is not None
+        b"#" in head
+        and re.search(rb"^#((?i:format:\s*theta\s+phi)|intheta|incident_angle)\s", head, re.MULTILINE) is not None
     ),
     read=read,
 )

@@ -71,6 +71,9 @@ def separator(text: str) -> str:
     often, and rather no comma: the one in "R (632,8 nm)" and the decimal commas below it separate nothing.
     """
     most, lines = _LOOKED_AT
+    first = re.match(r"(?:[^\S\r\n]*[\r\n]+)*([^\r\n]*)", text)
+    if first is not None and not ("\t" in first[1] or ";" in first[1]):
+        return ","
     header, *rows = [line for line in re.split(r"[\r\n]+", text[:most]) if line.strip()][:lines] or [""]
 
     def count(line: str, mark: str) -> int:

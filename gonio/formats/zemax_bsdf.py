@@ -262,8 +262,8 @@ FORMAT = Format(
     title="Zemax tabular BSDF",
     endings=(".bsdf",),
     sniff=lambda head: (
-        re.search(rb"^Source\s+Measured", head, re.MULTILINE) is not None
-        and b"ScatterRadial" in head
+        b"ScatterRadial" in head
+        and re.search(rb"^Source\s+Measured", head, re.MULTILINE) is not None
         and re.search(rb"^\s*AOI\s", head, re.MULTILINE) is None  # of LightTools
     ),
     read=read,

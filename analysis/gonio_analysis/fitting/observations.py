@@ -221,7 +221,9 @@ class Observations:
             return np.isnan(waves) if np.isnan(wavelength_nm) else np.abs(waves - wavelength_nm) <= SAME_BAND_NM
 
         omitted = {reason: waves[here(waves)] for reason, waves in self.omitted.items()}
-        return replace(self.take(here(self.wavelength_nm)), omitted=omitted)
+        taken = self.take(here(self.wavelength_nm))
+        same = taken is self and all(waves.size == self.omitted[reason].size for reason, waves in omitted.items())
+        return self if same else replace(taken, omitted=omitted)
 
     def nearest(self, wavelength_nm: float | None) -> tuple[Observations, float]:
         """The values at the wavelength nearest to the one asked for (550 nm if none is), and that wavelength [nm]."""
@@ -413,7 +415,7 @@ def _stated(
     del sizes
     for begin in range(0, len(table), AT_ONCE):
         some = slice(begin, begin + AT_ONCE)
-        own, of_causes, _ = measurement.uncertainty(table.iloc[some])
+        own, of_causes, _ = measurement.uncertainty(table if len(table) <= AT_ONCE else table.iloc[some])
         common[some] = np.where(np.isfinite(of_causes), of_causes, 0.0)
         total = np.sqrt(own**2 + (common[some] ** 2).sum(axis=1))
         with np.errstate(invalid="ignore"):
