@@ -76,6 +76,8 @@ class Durations:
         states = len({band.polarisation for band in self.bands})
         self._turns_s = states * description.polarisers.turn_s if states > 1 else 0.0
         self.speed = np.radians([axis.speed_deg_per_s for axis in axes.values()])
+        self._ramp_s = self.speed / np.radians(description.acceleration_deg_per_s2)
+        """What a way takes longer for starting and stopping, where full speed is reached."""
         self.approach = np.radians([approach[name] for name in axes])
         self.limits = np.radians([limits[name] for name in axes]).T
 
@@ -124,9 +126,15 @@ class Durations:
         begin = approach_starts(goals, self.approach, self.limits)
         moving = np.abs(goals - starts) > SAME_PLACE
         back = moving & ((starts - begin) * np.sign(self.approach) > SAME_PLACE)
-        first = np.where(back, np.abs(begin - starts) / self.speed, 0.0).max(axis=-1)
-        second = np.where(moving, np.abs(goals - np.where(back, begin, starts)) / self.speed, 0.0).max(axis=-1)
+        first = self._turn_s(np.where(back, begin - starts, 0.0))
+        second = self._turn_s(np.where(moving, goals - np.where(back, begin, starts), 0.0))
         return np.asarray(first + second + SETTLE_S * moving.any(axis=-1) + SETTLE_S * back.any(axis=-1))
+
+    def _turn_s(self, ways: Floats) -> Floats:
+        """Duration [s] of ways that all axes (the last one of the shape) begin together: at rest, and again at rest."""
+        at_full_s = np.abs(ways) / self.speed
+        short_s = 2.0 * np.sqrt(at_full_s * self._ramp_s)
+        return np.asarray(np.where(at_full_s < self._ramp_s, short_s, at_full_s + self._ramp_s).max(axis=-1))
 
     def beside_s(self, move_s: float) -> float:
         """How much of a move [s] passes while the last frame before it is read out."""

@@ -52,6 +52,20 @@ def test_a_move_takes_what_its_slowest_axis_takes_twice(start: Pose, goal: Pose,
     assert durations.moves_s(start, [goal, start]) == pytest.approx([seconds, 0.0], abs=ROUNDING)
 
 
+@pytest.mark.parametrize(
+    ("start", "goal", "seconds"),
+    [
+        (deg(), deg(light=30), 3.0 + 0.2 + SETTLE_S),  # 10 deg/s at 50 deg/s^2: 0.2 s more
+        (deg(light=30), deg(), 3.2 + 0.2 + 2 * math.sqrt(2 / 50) + 2 * SETTLE_S),  # 2 deg are not enough for full speed
+        (deg(), deg(camera=4), 2 * math.sqrt(4 / 50) + SETTLE_S),
+    ],
+)
+def test_starting_and_stopping_takes_time_where_the_rig_file_says_so(start: Pose, goal: Pose, seconds: float) -> None:
+    devices = {"servos": {"acceleration_deg_per_s2": 50.0}, "holder": {"acceleration_deg_per_s2": "?"}, "port": "x"}
+    durations = Durations(rig(devices=devices), BANDS[:1])
+    assert durations.move_s(start, goal) == pytest.approx(seconds, abs=ROUNDING)
+
+
 def test_an_axis_that_comes_from_above_is_slow_on_its_way_up() -> None:
     durations = Durations(rig(acquisition=Acquisition(approach_deg=-2.0)), BANDS[:1])
     assert durations.move_s(deg(), deg(light=30)) == pytest.approx(3.2 + 0.2 + 2 * SETTLE_S, abs=ROUNDING)
