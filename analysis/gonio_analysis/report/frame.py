@@ -11,9 +11,14 @@ from gonio_analysis.report.blocks import Block, Group, Heading, Page, header
 from gonio_analysis.report.text import slug
 
 
-def answer(verdict: Sequence[Block], picture: Sequence[Block] = (), table: Sequence[Block] = ()) -> Group:
-    """The first screen: a verdict, and below it a picture with a table beside it; on a phone one below the other."""
-    return Group("section", (*verdict, *beside(picture, table)), look="answer")
+def answer(
+    verdict: Sequence[Block], picture: Sequence[Block] = (), table: Sequence[Block] = (), below: Sequence[Block] = ()
+) -> Group:
+    """The first screen: a verdict, and below it a picture with a table beside it; on a phone one below the other.
+
+    What stands `below` belongs to the plot, too.
+    """
+    return Group("section", (*verdict, *beside(picture, table), *below), look="answer")
 
 
 def beside(left: Iterable[Block], right: Iterable[Block]) -> list[Block]:

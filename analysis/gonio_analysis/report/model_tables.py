@@ -9,13 +9,15 @@ from gonio.models.parameters import described
 from gonio.shown import interval
 from gonio_analysis.fitting.solution import Estimate
 from gonio_analysis.report import verdict
-from gonio_analysis.report.blocks import Block, Heading, Span, Table, Text, code, table, term
+from gonio_analysis.report.blocks import Block, Heading, Span, Table, Text, code, plain, table, term
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.report.text import difference, number, percent, with_u
 from gonio_analysis.selection.compare import FittedModel
 from gonio_analysis.selection.judging import Judged
 from gonio_analysis.selection.regions import WorstRegion
 
+FEW, NEAR = 8, 6
+"""Models whose table fits beside the plot as it is; and the best of more that stand there."""
 SHORT = 18
 """Characters of a name that stay on one line."""
 TOO_BRIGHT = term(
@@ -26,6 +28,25 @@ TYPICAL = term("off by", "The root mean square of ln(model / measured), over all
 WORST = term("worst", "The region of angles in which the model is farther off than it typically is.")
 FREE = term("free", "How many parameters were fitted.")
 TIME = term("time", "Of the fit and of its judgement, on the computer that made this page.")
+
+
+def beside_plot(d: DatasetSummary) -> Table:
+    """`compared`; of many models the best ones, without where they are worst and the time."""
+    every = compared(d)
+    if len(every.rows) <= FEW:
+        return every
+    kept = [k for k, name in enumerate(every.header) if plain(name) not in (plain(WORST), plain(TIME))]
+    rows = [[row[k] for k in kept] for row in every.rows[:NEAR]]
+    header = [every.header[k] for k in kept]
+    return table(every.caption, header, rows, right=(1,), marks=every.marks[:NEAR], draws=every.draws[:NEAR])
+
+
+def below_plot(d: DatasetSummary) -> list[Block]:
+    """Of many models all of them, to be folded."""
+    every = compared(d)
+    count = len(every.rows)
+    more = f"{count - NEAR} more, and where each is worst"
+    return [Heading(3, f"All {count} models", more), every] if count > FEW else []
 
 
 def compared(d: DatasetSummary) -> Table:

@@ -63,7 +63,8 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
     first = frame.answer(
         made({"the verdict": lambda: [lead(d.verdict), *([Paragraph(d.remedy, "note")] if d.remedy else [])]}),
         made({"plots in plane": lambda: _picture(d, by, view)}),
-        made({"models": lambda: [models.compared(d)] if d.models else [_values(d)]}),
+        made({"models": lambda: [models.beside_plot(d)] if d.models else [_values(d)]}),
+        frame.folded(made({"all models": lambda: models.below_plot(d)}), d.slug),
     )
     chosen = frame.beside(made({"plots": lambda: _plots(d, by)}), made({"parameters": lambda: models.chosen(d)}))
     folds = made(

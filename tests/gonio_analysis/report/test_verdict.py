@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import fit
 from gonio_analysis.report import model_tables
-from gonio_analysis.report.blocks import plain
+from gonio_analysis.report.blocks import Heading, plain
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.selection.compare import examine
 
@@ -177,6 +177,23 @@ def test_the_column_of_misfits_says_what_it_ranks_by() -> None:
             assert off == some(judged[label].fit.tau).words
             assert not worst or some(judged[label].fails).off == worst, "the number of the headline, and no second one"
         assert any(plain(row[3]) for row in found.rows)
+
+
+@pytest.mark.slow
+def test_of_many_models_the_best_stand_beside_the_plot_and_all_in_a_fold(monkeypatch: pytest.MonkeyPatch) -> None:
+    facts = headline(measure(PAINT, noise=0.03), "lambert", "oren-nayar")
+    every = model_tables.compared(facts)
+    assert model_tables.beside_plot(facts) == every
+    assert model_tables.below_plot(facts) == []
+    monkeypatch.setattr(model_tables, "FEW", len(every.rows) - 1)
+    monkeypatch.setattr(model_tables, "NEAR", 1)
+    few = model_tables.beside_plot(facts)
+    assert list(map(plain, few.header)) == ["model", "free", "off by", "verdict"]
+    assert [plain(row[0]) for row in few.rows] == list(few.draws) == [facts.best]
+    heading, table = model_tables.below_plot(facts)
+    assert isinstance(heading, Heading)
+    assert heading.text == f"All {len(every.rows)} models"
+    assert table == every
 
 
 def test_a_value_of_zero_does_not_make_a_table_silent() -> None:
