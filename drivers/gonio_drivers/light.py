@@ -24,6 +24,8 @@ GUARD_S = 10.0
 STILL_S = 55.0
 """The guard darkens so long after the last sign of life of this program, beside what it was expected to wait for; on a
 busy computer too the lamp is dark after the 60 s that docs/lab_setup.md states."""
+TOLD_S = 10.0
+"""A person is told of a warm-up from this length on."""
 LOOK_S = 0.1
 """How often it is asked, in a longer wait, whether the lamp may still shine."""
 
@@ -407,6 +409,8 @@ class SerialLight:
 
     def _settle(self) -> None:
         wait = self._light.settle_s if self._warmed else max(self._light.settle_s, self._warm_up_s)
+        if not self._warmed and wait >= TOLD_S:
+            log.warning("the lamp warms up for %g s (lamp.warm_up_s)", wait)
         self._warmed = True
         self._wait(wait)
         self._monitored = self.monitor() if self._light.monitor_tolerance is not None else None

@@ -418,7 +418,9 @@ def test_half_a_number_is_none(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -
         assert light.monitor() == {"scpi": 8e-4, "arduino": 0.8}.get(lamp.name)
 
 
-def test_warm_up_is_waited_for_once(lamp: Plugged, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_warm_up_is_waited_for_once_and_told(
+    lamp: Plugged, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     waits: list[float] = []
     noting = SimpleNamespace(sleep=waits.append, monotonic=time.monotonic)
     monkeypatch.setattr("gonio_drivers.light.clock", noting)  # the twin sleeps as it likes
@@ -432,6 +434,7 @@ def test_warm_up_is_waited_for_once(lamp: Plugged, monkeypatch: pytest.MonkeyPat
             light.on()
             assert sum(waits) == pytest.approx(wait_s, abs=0.1)  # and what the controller is given after a command
             light.off()
+    assert caplog.messages.count("the lamp warms up for 900 s (lamp.warm_up_s)") == 1
 
 
 def test_an_interlock_that_opens_while_the_lamp_warms_up_ends_the_wait(

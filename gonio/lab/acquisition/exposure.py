@@ -243,6 +243,19 @@ def meter(description: RigDescription, shot: Shot, used: Used, level_per_s: floa
     )
 
 
+def require_in_scale(description: RigDescription, metered: Metered) -> None:
+    """Raise `DeviceError` where the white reference is full at the shortest exposure: the run would have no value.
+
+    Where frames are merged pixel by pixel a pixel may be full, and the others count.
+    """
+    if metered.saturated and not description.acquisition.by_pixels:
+        raise DeviceError(
+            f"the white reference is full at the shortest exposure, {metered.exposure_s:g} s "
+            "(camera.exposure_limits_s), and without it nothing can be reduced: dim the lamp (devices.light.level), or "
+            "close the aperture"
+        )
+
+
 def shorter(description: RigDescription, exposure_s: float) -> float:
     """The exposure [s] of the shorter frame that follows."""
     return _allowed(description, exposure_s / SHORTER)

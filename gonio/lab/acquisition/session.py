@@ -405,6 +405,8 @@ class _Session:
             rig.light.on()
             self._lit = True
         found = exposure.meter(description, self._capture, region.of, self._expected(step, band))
+        if step.kind == "reference":
+            exposure.require_in_scale(description, found)
         slug, level = self._names[band.name], 0.0
         if description.acquisition.u_rel_target is None:
             exposures = [found.exposure_s] * self._frames(step)

@@ -217,7 +217,7 @@ def level(run: Run, wanted_s: Floats, visits: list[Reduced], band: Band) -> tupl
     if not visits:
         raise DataError(
             f"{run.path}: no usable measurement of the white reference in band {band.name}; see its frames: where they "
-            "are full, lower acquisition.exposure_target, and calibrate the camera"
+            "are full, dim the lamp, or lower acquisition.exposure_target and calibrate the camera"
         )
     rates, (albedo, u_rel) = np.array([visit.rate for visit in visits]), reference.at(band.centre_nm)
     if rates.min() <= 0:

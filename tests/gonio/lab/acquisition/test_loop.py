@@ -15,6 +15,7 @@ from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import brdf
 from gonio.lab.rig import Pose
+from gonio.lab.rig.description import Acquisition
 from gonio.lab.rig.dng import read_raw
 from tests.command_line import some
 from tests.gonio.lab.acquisition.conftest import Measure
@@ -134,6 +135,13 @@ def test_a_point_is_metered_with_what_the_point_before_it_needed(measure: Measur
     taken = [metering_frames(step) for step in points]
     assert taken[0] > 2
     assert taken[1:] == [2] * (len(points) - 1)
+
+
+def test_a_white_that_is_full_at_the_shortest_exposure_ends_the_run_before_its_points(measure: Measure) -> None:
+    camera = describe().camera.model_copy(update={"exposure_limits_s": (5.0, 10.0)})
+    with pytest.raises(DeviceError, match=r"white reference is full at the shortest exposure, 5 s .*dim the lamp"):
+        measure("run", description=describe(camera=camera))
+    measure("by-pixels", description=describe(camera=camera, acquisition=Acquisition(merge="pixels", dark_frames=2)))
 
 
 def test_a_point_without_frames_is_no_guide(measure: Measure) -> None:
