@@ -302,7 +302,8 @@ class Scans:
 
     def _points(self, axis: str, centre: float, half: float, count: int) -> pd.DataFrame:
         """What is seen at angles around one, within the limits of the axis: so far that its backlash is taken up."""
-        (lower, upper), play = self._description.limits_deg()[axis], self._description.axes()[axis].backlash_deg
+        (lower, upper), of = self._description.limits_deg()[axis], self._description.axes()[axis]
+        play = of.backlash_deg + of.encoder_step_deg  # whole steps are landed on
         angles = np.linspace(max(centre - half, lower + play), min(centre + half, upper - play), count).tolist()
         return pd.DataFrame([self._point(axis, angle) for angle in angles])
 

@@ -149,7 +149,11 @@ def with_calibrations(description: RigDescription, folder: str | Path, *, withou
     replaced: TomlTable = {}
     for name in use.files:
         path = Path(folder) / name
-        calibration = read_calibration(path)
+        try:
+            calibration = read_calibration(path)
+        except ConfigError as error:
+            error.args = (f"calibration.files of the rig file: {error}",)
+            raise
         if calibration.kind == without:
             continue
         why = calibration.unfit(description, today)

@@ -74,6 +74,12 @@ def test_an_unfit_calibration_is_refused_or_remarked(tmp_path: Path, changed: di
     assert why in found.calibration.remarks[0]
 
 
+def test_a_calibration_that_is_not_there_is_named_with_the_key_that_wants_it(tmp_path: Path) -> None:
+    write_calibration(_calibration(tmp_path), tmp_path / "geometry.toml")
+    with pytest.raises(ConfigError, match=r'calibration\.files .*geomtry\.toml: .*did you mean "geometry\.toml"'):
+        find_rig(str(_rig(tmp_path, 'calibration.files = ["geomtry.toml"]\n')))
+
+
 def test_what_is_true_of_a_simulated_bench_is_no_calibration_and_not_the_rig_file(tmp_path: Path) -> None:
     write_calibration(_calibration(tmp_path), tmp_path / "geometry.toml")
     (tmp_path / "truth.toml").write_text("[arms.light]\nzero_offset_deg = 2.0\n[lamp]\nnoise = 0.0\n")
