@@ -99,12 +99,14 @@ def cut_nodes(omega: Floats, half_angle: float, order: int) -> tuple[Floats, Flo
     return directions, weight
 
 
-def focused_nodes(axis: Floats, half_angle: float, focus: Floats) -> tuple[Floats, Floats]:
+def focused_nodes(
+    axis: Floats, half_angle: float, focus: Floats, around_each: int, along_each: int, shrunk: int
+) -> tuple[Floats, Floats]:
     """Nodes (k, n, 3) and solid angles (k, n) [sr] in one cap, crowded toward each of k directions in or out of it.
 
     In polar coordinates about the focus, on whose rays the cap is an interval; its Gauss panels shrink threefold
-    toward the focus (or toward the edge nearest to it) down to 2e-5 of the interval: a peak there of any width is
-    integrated.
+    toward the focus (or toward the edge nearest to it), `shrunk` times: 10 times down to 2e-5 of the interval, and a
+    peak there of any width is integrated. The panels of either kind have `around_each` and `along_each` nodes.
     """
     along = focus @ axis
     toward = axis - along[:, None] * focus
@@ -113,7 +115,7 @@ def focused_nodes(axis: Floats, half_angle: float, focus: Floats) -> tuple[Float
     unit = np.where(sine[:, None] > 1e-12, toward / np.maximum(sine, 1e-300)[:, None], first)
     aside = np.where(sine[:, None] > 1e-12, np.cross(focus, unit), second)
     inside = along >= math.cos(half_angle)
-    x, w = gauss(16)
+    x, w = gauss(around_each)
     panels = np.linspace(-math.pi, math.pi, 5)
     around = (0.5 * (panels[:-1] + panels[1:])[:, None] + math.pi / 4 * x).ravel()
     # from outside, rays meet the cap within beta of its axis, and leave it like a square root at the ends
@@ -128,8 +130,8 @@ def focused_nodes(axis: Floats, half_angle: float, focus: Floats) -> tuple[Float
     reach = np.arccos(np.minimum(1.0, math.cos(half_angle) / size))
     low = np.where(inside[:, None], 0.0, np.maximum(middle - reach, 0.0))
     length = np.maximum(middle + reach - low, 0.0)
-    x, w = gauss(9)
-    edges = np.concatenate([[0.0], 3.0 ** np.arange(-10.0, 1.0)])
+    x, w = gauss(along_each)
+    edges = np.concatenate([[0.0], 3.0 ** np.arange(-float(shrunk), 1.0)])
     step = 0.5 * np.diff(edges)[:, None]
     place, part = (edges[:-1, None] + step * (1.0 + x)).ravel(), (step * w).ravel()
     out, weight = (

@@ -14,8 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from gonio.typing import Floats
-from gonio_analysis.fitting.fit import FitResult, as_stated, at_one_wavelength, concluded, nearest
+from gonio_analysis.fitting.fit import FitResult, at_one_wavelength, concluded, nearest
 from gonio_analysis.fitting.forward import apparent, pointlike
+from gonio_analysis.fitting.minimum import as_stated
 from gonio_analysis.fitting.objective import alone, scaled_to
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose

@@ -27,19 +27,19 @@ from gonio.errors import ArgumentError, ConfigError, DataError
 from gonio.models.parameters import Values
 from gonio.progress import Say, silent
 from gonio.typing import DataFrame, Floats
-from gonio_analysis.fitting.forward import apparent, averaging, by_model, known_wavelength, pointlike, rho_angles
+from gonio_analysis.fitting.forward import apparent, averaging, known_wavelength, rho_angles
+from gonio_analysis.fitting.minimum import minimised, starts_below
 from gonio_analysis.fitting.misfit import SETTLED, SMALLEST, TURNS, block_spread, estimated_tau, misfit
 from gonio_analysis.fitting.objective import Objective, objective, on_log_scale, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import DEFAULT_WAVELENGTH_NM, Observations, observations
 from gonio_analysis.fitting.parameters import tells_index
-from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, acceptable, pose, together
+from gonio_analysis.fitting.problem import STARTS, Bound, FitRequest, Problem, pose, together
 from gonio_analysis.fitting.profile_likelihood import Interval, Near, tied, walked
-from gonio_analysis.fitting.search import covariance, derivatives, gauss_newton, refine, search, search_from
+from gonio_analysis.fitting.search import derivatives, refine, search
 from gonio_analysis.fitting.settling import settle
 from gonio_analysis.fitting.solution import ROUNDING, Solution, residuals_on_log_scale
+from gonio_analysis.fitting.steps import covariance, gauss_newton
 
-BOUND_FIRST = 30.0
-"""Factor by which the bound is softer at first, for a search along a steep wall takes many short steps."""
 EXCESS = 2e-5
 """What the bound on rho_dh gives way by, about."""
 AT_BOUND, ON_BOUND = 1e-3, 1e-7
@@ -51,9 +51,6 @@ NOT_AT_THE_END = (
     "The search has not come to its end: one more step would lower chi-square by {:.2g}, so parameters may be off by"
     " more than is stated. Parameters replace each other here: fix one (--fix) or say what is known of it (--prior)."
 )
-OTHERS, ALIKE = 2, 1.01
-"""Ends of a search that are tried through the cones, beside the one that is best at their centres; of those whose sums
-are within the factor, last steps tell which is the least."""
 AGAIN = 8
 """Steps of a fit without a block, from where the linear step says it ends."""
 
@@ -111,51 +108,6 @@ def _require_enough(data: Observations, names: Sequence[str], wavelength: float,
         )
 
 
-def _minimised(
-    problem: Problem, data: Observations, start: Sequence[Values] | None, say: Say
-) -> tuple[Observations, Objective, Floats, Floats]:
-    """The values with scales by a model near the least, what is made small, the least, and the Jacobian there."""
-    ends = search(problem, data, say) if start is None else search_from(problem.softer(BOUND_FIRST), data, start, say)
-    found = [_through_cones(problem, data, *ends[0], say)]
-    weighted = problem.asked.metric is None and data.covariance is not None and not pointlike(data)
-    if weighted and 2.0 * found[0][3] > acceptable(len(data) - len(problem.free)):
-        off = abs(found[0][3] - ends[0][1])  # what the cones change: ends that differ by less are in no order
-        others = [end for end in ends[1:] if end[1] - ends[0][1] < off][:OTHERS]
-        found += [_through_cones(problem, data, *end, say) for end in others]
-    least = min(cost for *_, cost in found)
-    settled = [
-        (data, goal, *settle(problem, data, goal, as_stated(problem, vector)))
-        for data, goal, vector, cost in found
-        if len(found) == 1 or cost <= ALIKE * least
-    ]
-    if len(settled) == 1:
-        return settled[0]
-    return min(settled, key=lambda one: one[1].total(one[1].residual(apparent(problem.model(one[2]), one[0]))))
-
-
-def _through_cones(
-    problem: Problem, data: Observations, vector: Floats, cost: float, say: Say
-) -> tuple[Observations, Objective, Floats, float]:
-    """From the end of a search with the quick model to that with the full one, as `_minimised`; and half its sum."""
-    asked, found = problem.asked, apparent(problem.model(vector), data, quick=True)
-    data = by_model(data, problem.model(vector), found)
-    goal = replace(scaled_to(data, found, asked.metric), loss=asked.loss)
-    done = asked.metric is None and problem.bound is None  # the search has made the same sum small, without more ado
-    if done and pointlike(data) and (goal.weights is None or not goal.weights.causes):
-        return data, goal, vector, cost
-    return data, goal, *refine(problem, data, goal, vector, say=say)
-
-
-def as_stated(problem: Problem, vector: Floats) -> Floats:
-    """The same model by the values that state it, where nothing holds one of them."""
-    values = problem.values(vector)
-    stated = problem.family.stated(values)
-    moved = {name for name in stated if stated[name] != values[name]}
-    other, (lower, upper) = problem.vector(stated), problem.bounds
-    free = moved <= set(problem.free) and not problem.priors
-    return other if moved and free and bool(np.all((lower <= other) & (other <= upper))) else vector
-
-
 def fit(
     table: DataFrame | Observations,
     model: str | FitRequest,
@@ -205,11 +157,11 @@ def fit(
     if asked.energy:
         problem, start, said = _bounded(problem, fit(data, replace(asked, energy=False), name=name, say=say), start)
         notes += said
-    data, goal, vector, jacobian = _minimised(problem, data, start, say)
+    data, goal, vector, jacobian = minimised(problem, data, start, say)
     result = concluded(problem, data, goal, vector, jacobian, wavelength)
     if asked.metric is None and asked.loss == "linear":
         if result.rejected:
-            result = nearest(result, say)
+            result = nearest(result, say, starts=start or ())
         elif data.covariance is None:
             result = known_by_blocks(result)
     elif not goal.whitened:
@@ -289,18 +241,24 @@ def at_solution(
     )
 
 
-def nearest(rejected: FitResult, say: Say = silent, *, end: Floats | None = None) -> FitResult:
+def nearest(
+    rejected: FitResult, say: Say = silent, *, end: Floats | None = None, starts: Sequence[Values] = ()
+) -> FitResult:
     """The nearest model, where the data reject every one: with a misfit that makes the residuals most probable.
 
     The search begins anew without the stated uncertainties, for a fit that trusts them may lie in a valley that only
     the best known values are in. `end` is where such a search has ended already.
+    The nearest one is no farther than any of `starts`.
     """
     problem, data = rejected.problem, rejected.data
     unstated = replace(data, covariance=None, u_rel_assumed=None)
     begin = [rejected.vector]
     if not problem.waves:  # a fit of several wavelengths began where one alone ended
         begin.insert(0, search(problem, unstated, say)[0][0] if end is None else end)
-    found = [refine(problem, unstated, objective(unstated), start, quick=True) for start in begin]
+    goal = objective(unstated)
+    found = [refine(problem, unstated, goal, start, quick=True) for start in begin]
+    lower = starts_below(problem, unstated, goal, starts, min(cost for _, cost in found), quick=True)
+    found += [refine(problem, unstated, goal, start, quick=True) for start, _ in lower]
     vector = min(found, key=lambda f: f[1])[0]
     residual, columns, stated = residuals_on_log_scale(problem, data, vector, apparent(problem.model(vector), data))
     if stated is not None and estimated_tau(residual, columns, stated) < float(np.median(stated.random)):

@@ -4,6 +4,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -154,6 +155,8 @@ def _sum(name: str, ior: Ior) -> Declaration:
     own = {"k_d", "diffuse_albedo"} & gloss.parameters.keys()
     weighted = "weighted" in kind(terms[1]).in_sums.split()
     level = {"weight": Fitted(0.0, 1.0)} if weighted else {}
+    if weighted and "albedo" in base.parameters:  # of a gloss whose own may be 0
+        level["albedo"] = replace(base.parameters["albedo"], lower=0.0)
 
     def arguments(v: Values) -> Arguments:
         shine = gloss.arguments({**v, **dict.fromkeys(own, 0.0)})
@@ -170,7 +173,7 @@ def _sum(name: str, ior: Ior) -> Declaration:
     return Declaration(
         name,
         {**base.parameters, **level, **{n: p for n, p in gloss.parameters.items() if n not in own}},
-        (*base.free, *level, *(n for n in gloss.free if n not in own)),
+        (*base.free, *({"weight"} & level.keys()), *(n for n in gloss.free if n not in own)),
         {n: x for n, x in gloss.fixed.items() if n not in own},
         arguments,
         starts,

@@ -32,8 +32,9 @@ from gonio.shown import interval, with_u
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.forward import apparent
-from gonio_analysis.fitting.search import derivatives, gauss_newton, refine, to_full
+from gonio_analysis.fitting.search import derivatives, refine, to_full
 from gonio_analysis.fitting.solution import ROUNDING, Solution
+from gonio_analysis.fitting.steps import gauss_newton
 
 STEPS = 4
 """Most last steps of a small fit that holds parameters at their bounds."""

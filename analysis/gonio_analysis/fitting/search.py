@@ -8,8 +8,8 @@ searched, the best two of these with the true weights. Where the data reject wha
 other width is tried. Where they do not, and the surface has more than one parameter, the profile of chi-square over
 its width shows other valleys. Of 2400 drawn He-Torrance tables (100 values, noise of 1 %) 4 end in a wrong one, by 0.2
 to 1 of chi-square; without the profile 2 to 5 % did, by up to 37. Where n and k are both free, the solution's shape is
-tried with other metals. The last search averages the lobe over the cones to 1e-5. Of more than 5000 values a model is
-first fitted to 5000.
+tried with other metals. The last search averages the lobe over the cones to 1e-5. Of more than 1000 values 1000 are
+searched, and the best end is refined on all.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ from gonio_analysis.fitting.forward import Averaging, apparent, averaging, point
 from gonio_analysis.fitting.objective import Objective, alone, softened
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem, acceptable
+from gonio_analysis.fitting.steps import last_step
 
 GRID_POINTS = 250
 """Values that a start is judged by."""
 COARSE_U = 0.15
 """Relative uncertainty added while the start is sought."""
-MOST = 5000
-"""Values that a search begins with, of more than that."""
+MOST = 1000
+"""Values that are searched, of more than that: from 5000 values to a million a search takes as long."""
 HIGHEST = ("ngan", "cube-root", "relative")
 """Metrics whose valleys are sought apart from that of the logarithms."""
 AT_BOUND = 1e-3
@@ -51,6 +52,8 @@ LONG = 2000
 INSIDE, DOGLEG = 60, 300
 """Evaluations of a long search by steps inside the bounds, and then by those that end on them; the rest goes inside.
 Of 60 searches with n and k free that took 110 to 2000, none then took more than 400, and none ended higher."""
+BRIEF = INSIDE + DOGLEG + 1
+"""Evaluations of several searches before the least of them alone goes on: others creep along the same valley."""
 PROFILED = 5
 """Evaluations at a width of the profile, each but the last followed by a step."""
 NEAR = 25.0
@@ -65,19 +68,38 @@ LARGEST = 1e6
 """Residual that counts, at most, where starts are judged."""
 LEVELLED = 3
 """Steps to the level of a Lambertian part."""
-LONGEST = 0.1
-"""Longest that a last step of a search may be, on the search scale."""
-NO_EFFECT = 1e-10
-"""What a parameter's longest step changes of the residuals, as a part, below which it stays."""
-LEAST_CURVED = 1e-8
-"""Least curvature, of parameters of one size, that Newton's step goes by; a saddle has less than none."""
 
 
 def search_from(
     problem: Problem, data: Observations, starts: Sequence[Values], say: Say = silent
 ) -> list[tuple[Floats, float]]:
     """As `search`, of searches with the quick forward model that begin at solutions of relatives."""
-    return _apart(sorted((approach(problem, data, problem.vector(s), say) for s in starts), key=lambda f: f[1]))
+    some = _some(problem, data)
+    ends = _apart(sorted(_approaches(problem, some, map(problem.vector, starts), say), key=lambda f: f[1]))
+    return ends if some is data else _of_all(problem, data, len(some), ends, say)
+
+
+def _approaches(problem: Problem, data: Observations, starts: Iterable[Floats], say: Say) -> list[tuple[Floats, float]]:
+    """Where searches from several starts end; only the least one goes on beyond `BRIEF`."""
+    goal = replace(alone(data, problem.asked.metric), loss=problem.asked.loss)
+    ends = [refined(problem, data, goal, start, quick=True, limit=BRIEF, say=say) for start in starts]
+    best, *others = sorted(ends, key=lambda f: f[1])
+    return [best[:2] if best[2] else approach(problem, data, best[0], say), *(one[:2] for one in others)]
+
+
+def _some(problem: Problem, data: Observations) -> Observations:
+    """At most `MOST` of the values, and as many of the highest ones for metrics that these govern."""
+    if len(data) <= MOST:
+        return data
+    some = data.take(np.sort(np.random.default_rng(0).choice(len(data), MOST, replace=False)))
+    return _with_brightest(some, data) if problem.asked.metric in HIGHEST else some
+
+
+def _of_all(
+    problem: Problem, data: Observations, searched: int, ends: Sequence[tuple[Floats, float]], say: Say
+) -> list[tuple[Floats, float]]:
+    """Ends of a search on some values: the first one refined on all, the others with what they may cost there."""
+    return [approach(problem, data, ends[0][0], say), *((x, cost * len(data) / searched) for x, cost in ends[1:])]
 
 
 def _apart(ends: Sequence[tuple[Floats, float]]) -> list[tuple[Floats, float]]:
@@ -96,7 +118,9 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> list[tupl
     steps from their ends. Only the independent part of the covariance counts here: common causes need a model to be
     scaled by.
     """
-    asked = problem.asked
+    asked, some = problem.asked, _some(problem, data)
+    if some is not data:
+        return _of_all(problem, data, len(some), search(problem, some, say), say)
     few = data if len(data) <= GRID_POINTS else data.take(np.arange(len(data))[:: -(-len(data) // GRID_POINTS)])
     starts = _starts(problem, data)
     candidates = _levelled(problem, few, starts, say)
@@ -109,7 +133,7 @@ def search(problem: Problem, data: Observations, say: Say = silent) -> list[tupl
         costs = [goal.residual(apparent(problem.model(v), brightest, quick=True)) ** 2 for v in starts]
         by_metric = [(float(cost.sum()), v) for cost, v in zip(costs, starts, strict=True)]
         begin.append(_coarse(problem, brightest, goal, by_metric)[0][0])
-    ends = [approach(problem, data, vector, say) for vector in begin]
+    ends = _approaches(problem, data, begin, say)
     found = min(ends, key=lambda f: f[1])
     goal = replace(alone(few, asked.metric), loss=asked.loss)
     if inside := _inside(problem, found[0], starts) + _of_other_indices(problem, few, goal, found[0]):
@@ -285,16 +309,17 @@ def _with_brightest(few: Observations, data: Observations) -> Observations:
 
 
 def approach(problem: Problem, data: Observations, start: Floats, say: Say = silent) -> tuple[Floats, float]:
-    """As `refine`, with the quick forward model and the independent part of the covariance; first on `MOST` values."""
-    metric, loss = problem.asked.metric, problem.asked.loss
-    if len(data) > MOST:
-        few = data.take(np.sort(np.random.default_rng(0).choice(len(data), MOST, replace=False)))
-        few = _with_brightest(few, data) if metric in HIGHEST else few
-        start, _ = refine(problem, few, replace(alone(few, metric), loss=loss), start, quick=True)
-    return refine(problem, data, replace(alone(data, metric), loss=loss), start, quick=True, say=say)
+    """As `refine`, with the quick forward model and the independent part of the covariance."""
+    goal = replace(alone(data, problem.asked.metric), loss=problem.asked.loss)
+    return refine(problem, data, goal, start, quick=True, say=say)
 
 
-def refine(
+def refine(problem: Problem, data: Observations, goal: Objective, start: Floats, **how: Any) -> tuple[Floats, float]:
+    """As `refined`, wherever it ended."""
+    return refined(problem, data, goal, start, **how)[:2]
+
+
+def refined(
     problem: Problem,
     data: Observations,
     goal: Objective,
@@ -306,8 +331,8 @@ def refine(
     say: Say = silent,
     free: Rows | None = None,
     ratio: Floats | None = None,
-) -> tuple[Floats, float]:
-    """Trust-region least squares from one start; the point and half its sum of squares.
+) -> tuple[Floats, float, bool]:
+    """Trust-region least squares from one start; the point, half its sum of squares, and whether that is its end.
 
     Derivatives are one-sided ones of the quick forward model, scaled to the full one; `settle` takes the last step with
     those of the full one. Averages over the cones are taken by `rules`, or as is found good at the start.
@@ -344,7 +369,7 @@ def refine(
     accuracy = (1e-9, 1e-10 if quick else 1e-8, 1e-12) if ratio is None else (1e-6, 1e-6, 1e-10)
     bounds = (lower[moving], upper[moving])
     found = least(residual, jacobian, start[moving], bounds, accuracy, limit=limit, loss=goal.loss)
-    return whole(found.x), float(found.cost)
+    return whole(found.x), float(found.cost), bool(found.status)
 
 
 def least(
@@ -387,57 +412,6 @@ def to_full(full: Floats, quick: Floats) -> Floats:
         return np.nan_to_num(np.clip(full / quick, 0.2, 5.0), nan=1.0)
 
 
-def last_step(
-    vector: Floats, residual: Floats, jacobian: Floats, lower: Floats, upper: Floats, bent: Floats | None = None
-) -> Floats:
-    """Where the Gauss-Newton step of the parameters that stand at no bound ends; one that comes to a bound stays on it.
-
-    Newton's step with `bent`, what residuals add to the second derivatives (p, p). What first comes to a bound, or to
-    the longest step, is held there, and the others go on; what has no effect stays. Parameters with infinite bounds may
-    go any way.
-    """
-    margin = 1e-6 * np.minimum(upper - lower, 1.0)
-    longest = np.where(np.isfinite(upper - lower), LONGEST, np.inf)
-    low, high = np.maximum(lower - vector, -longest), np.minimum(upper - vector, longest)
-    tells = np.linalg.norm(jacobian, axis=0) * LONGEST > NO_EFFECT * np.linalg.norm(residual)
-    step, moving = np.zeros(vector.size), np.flatnonzero((vector > lower + margin) & (vector < upper - margin) & tells)
-    while moving.size:
-        slopes, left = jacobian[:, moving], residual + jacobian @ step
-        if bent is None:
-            part = gauss_newton(slopes, left)
-        else:
-            part = newton(slopes, left, (bent @ step)[moving], bent[np.ix_(moving, moving)])
-        limit = np.where(part < 0.0, low[moving], high[moving])
-        first = int(np.argmax(part / limit))
-        if part[first] / limit[first] <= 1.0:
-            step[moving] = part
-            break
-        step[moving[first]] = limit[first]
-        moving = np.delete(moving, first)
-    moved = np.clip(vector + step, lower, upper)
-    return np.where(moved <= lower + margin, lower, np.where(moved >= upper - margin, upper, moved))
-
-
-def newton(jacobian: Floats, residual: Floats, slope: Floats, bent: Floats) -> Floats:
-    """Newton's step (p,); Gauss and Newton's at a saddle.
-
-    `bent` (p, p) and `slope` (p,) are what is added to the second and first derivatives that residuals have by
-    themselves.
-    """
-    size = np.linalg.norm(jacobian, axis=0)
-    columns = jacobian / size
-    values, axes = np.linalg.eigh(columns.T @ columns + bent / size / size[:, None])
-    if values[0] < LEAST_CURVED:
-        return gauss_newton(jacobian, residual)
-    return np.asarray(-(axes / values) @ (axes.T @ (columns.T @ residual + slope / size)) / size)
-
-
-def gauss_newton(jacobian: Floats, residual: Floats) -> Floats:
-    """The step (p,) that makes residual + jacobian step smallest, whatever the parameters' scales."""
-    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    return np.asarray(np.linalg.lstsq(jacobian / size, -residual, rcond=1e-10)[0] / size)
-
-
 def derivatives(
     problem: Problem,
     data: Observations,
@@ -473,20 +447,3 @@ def derivatives(
             wave, column = problem.own_wavelength(k), rise / (up[k] - down[k])
             columns[k] = column if wave is None else np.where(data.wavelength_nm == wave, column, 0.0)
     return columns[asked].T
-
-
-def covariance(jacobian: Floats) -> tuple[Floats, float]:
-    """(J^T J)^-1 on the search scale, and the condition number of J with columns of unit length.
-
-    A column of zeros (a parameter without any effect) gets an infinite variance.
-    """
-    size = np.linalg.norm(jacobian, axis=0)
-    seen = size > 0
-    out = np.full((size.size, size.size), 0.0)
-    out[~seen, ~seen] = np.inf
-    if not seen.any():
-        return out, math.inf
-    _, values, right = np.linalg.svd(jacobian[:, seen] / size[seen], full_matrices=False)
-    values = np.maximum(values, 1e-12 * values[0])
-    out[np.ix_(seen, seen)] = (right.T / values**2) @ right / np.outer(size[seen], size[seen])
-    return out, float(values[0] / values[-1]) if seen.all() else math.inf

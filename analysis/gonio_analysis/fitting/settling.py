@@ -14,7 +14,8 @@ from gonio_analysis.fitting.forward import Averaging, apparent, averaging
 from gonio_analysis.fitting.objective import Objective
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
-from gonio_analysis.fitting.search import derivatives, last_step, to_full
+from gonio_analysis.fitting.search import derivatives, to_full
+from gonio_analysis.fitting.steps import last_step
 
 MOST = 6
 """Steps, at most; Newton's double the digits."""

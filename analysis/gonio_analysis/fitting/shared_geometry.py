@@ -15,7 +15,8 @@ from gonio_analysis.fitting.forward import Averaging, apparent, averaging, point
 from gonio_analysis.fitting.objective import Objective, alone, scaled_to, with_misfit
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
-from gonio_analysis.fitting.search import LONG, derivatives, last_step, least, to_full
+from gonio_analysis.fitting.search import LONG, derivatives, least, to_full
+from gonio_analysis.fitting.steps import last_step
 from gonio_analysis.fitting.value_covariance import independent
 
 Evaluated = tuple[Floats, Floats]

@@ -25,9 +25,10 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.misfit import estimated_tau
 from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
-from gonio_analysis.fitting.search import LONG, covariance
+from gonio_analysis.fitting.search import LONG
 from gonio_analysis.fitting.shared_geometry import _Task
 from gonio_analysis.fitting.solution import ROUNDING, residuals_on_log_scale
+from gonio_analysis.fitting.steps import covariance
 from gonio_analysis.result_records import SharedGeometry
 
 MOST_WAVELENGTHS = 40

@@ -10,10 +10,9 @@ from typing import cast
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.fitting import fit as fit_module
-from gonio_analysis.fitting import search
+from gonio_analysis.fitting import minimum, search
 from gonio_analysis.fitting.fit import fit
-from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.observations import Observations, observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
 
 from gonio.models import Phong, build
@@ -195,18 +194,49 @@ def test_starts_on_a_bound_are_no_places_inside() -> None:
     np.testing.assert_array_equal(search._inside(bounded(), np.array([0.0, 2.0]), starts), [[0.5, 2.0]])
 
 
-def test_of_ends_that_cones_put_in_another_order_the_least_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lobe so narrow that no value is in it has no slope to follow; at the cones' centres it is called better."""
+@pytest.fixture
+def lobe() -> tuple[Problem, Observations, Floats, Floats]:
+    """A lobe, its values, and a point where it is so narrow that no value is in it: there it has no slope to follow."""
     views = np.arange(-77.5, 80.0, 5.0)  # none towards the mirror
     data = observations(measure(Phong(0.2, 0.3, 100.0), views=views, noise=0.002, cone_sr=1e-4))
     problem = pose(FitRequest("phong"))
-    right = problem.vector({"k_d": 0.2, "k_s": 0.3, "exponent": 100.0})
-    wrong = problem.vector({"k_d": 0.2, "k_s": 0.3, "exponent": 1e5})
+    right, wrong = (problem.vector({"k_d": 0.2, "k_s": 0.3, "exponent": n}) for n in (100.0, 1e5))
+    return problem, data, right, wrong
+
+
+Lobe = tuple[Problem, Observations, Floats, Floats]
+
+
+def test_of_ends_that_cones_put_in_another_order_the_least_is_taken(
+    lobe: Lobe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the cones' centres the wrong one is called better."""
+    problem, data, right, wrong = lobe
 
     def exponent(*ends: tuple[Floats, float]) -> float:
-        monkeypatch.setattr(fit_module, "search", lambda *_: list(ends))
-        return problem.values(fit_module._minimised(problem, data, None, silent)[2])["exponent"]
+        monkeypatch.setattr(minimum, "search", lambda *_: list(ends))
+        return problem.values(minimum.minimised(problem, data, None, silent)[2])["exponent"]
 
     assert exponent((wrong, 1.0)) > 1000.0
     # values within a lobe are known to 0.2 %, and its exponent to about as much
     assert exponent((wrong, 1.0), (right, 2.0)) == pytest.approx(100.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("factor", "right_one"), [(1.005, True), (1.02, False)])
+def test_of_ends_that_are_alike_last_steps_tell(
+    factor: float, right_one: bool, lobe: Lobe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here the wrong end comes out of the cones first, and the right one above it by a factor."""
+    problem, data, right, wrong = lobe
+    monkeypatch.setattr(minimum, "search", lambda *_: [(wrong, 1.0), (right, 2.0)])
+    monkeypatch.setattr(minimum, "refine", lambda *at, **_: (at[3], 1e4 * (factor if at[3] is right else 1.0)))
+    found = problem.values(minimum.minimised(problem, data, None, silent)[2])
+    assert (found["exponent"] < 1000.0) == right_one
+
+
+def test_from_given_starts_a_fit_ends_no_higher_than_any(lobe: Lobe, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the searches from there ended elsewhere, at the cones' centres."""
+    problem, data, right, wrong = lobe
+    monkeypatch.setattr(minimum, "search_from", lambda *_: [(wrong, 1.0)])
+    found = minimum.minimised(problem, data, [problem.values(right)], silent)[2]
+    assert problem.values(found)["exponent"] == pytest.approx(100.0, rel=0.02)  # known to 0.2 %

@@ -6,8 +6,9 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import alone
 from gonio_analysis.fitting.observations import observations
 from gonio_analysis.fitting.problem import FitRequest, pose
-from gonio_analysis.fitting.search import last_step, newton, refine
+from gonio_analysis.fitting.search import refine
 from gonio_analysis.fitting.settling import settle
+from gonio_analysis.fitting.steps import last_step, newton
 
 from gonio.models import GGX, Lambert, Sum
 from gonio.typing import Floats

@@ -11,15 +11,17 @@ import pandas as pd
 import pytest
 from gonio_analysis.fitting.fit import FitResult, fit
 from gonio_analysis.fitting.observations import observations
+from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.fitting.profile_likelihood import profiles
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import choice as choosing
 from gonio_analysis.selection.choice import ModelChoice, candidates, choose
-from gonio_analysis.selection.judging import Candidate, blocks
+from gonio_analysis.selection.judging import Candidate, blocks, deviance
 from gonio_analysis.selection.regions import incidences
 
 from gonio.errors import ConfigError, DataError
 from gonio.models import Lambert, OrenNayar, Phong, Retroreflecting, Sum, build
+from gonio.progress import silent
 from tests.gonio_analysis.synthetic import known, measure
 
 MATTE = Lambert(0.5)
@@ -136,6 +138,32 @@ def test_sums_begin_at_the_fit_of_their_gloss() -> None:
     assert known_list(found[1])[0]["albedo"] == 0.3
     assert choosing._starts(Candidate("oren-nayar+phong"), {}) == [None]
     assert choosing._starts(Candidate("phong"), {}) == [None]
+
+
+def test_a_sum_that_ends_above_its_part_begins_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = measure(Phong(0.2, 0.3, 20.0), noise=0.01)
+    part, begun = fit(table, "phong"), list[Any]()
+
+    def ended(data: Any, asked: FitRequest, name: str) -> FitResult:
+        begun.append(asked.start)
+        return replace(part, whitened=part.whitened * (2.0 if len(begun) < 3 else 1.0))
+
+    monkeypatch.setattr(choosing, "fit", ended)
+    candidate, simpler = Candidate("oren-nayar+phong"), {Candidate("phong"): part}
+    begin, parts = choosing._starts(candidate, simpler), choosing._contained(candidate, simpler)
+    found, _ = choosing._fit(observations(table), candidate.request(None), begin, "", "", parts, silent)
+    (start,) = begun[2]
+    problem = pose(candidate.request(None))
+    same = problem.model(problem.vector(start)).brdf(0.4, 0.0, 0.5, 3.0)
+    assert same == pytest.approx(part.model.brdf(0.4, 0.0, 0.5, 3.0), rel=1e-12)  # rounding
+    assert deviance(cast(FitResult, found)) == deviance(part)
+
+
+def test_a_rejected_sum_reaches_the_chi_square_of_its_part() -> None:
+    part = fit(measure(PAINT, noise=0.01), "lambert")
+    above = replace(part, chi_square=known(part.chi_square) + 1.0)
+    assert choosing._no_worse(above, [part]).chi_square == part.chi_square
+    assert choosing._no_worse(part, [above]) is part
 
 
 def test_of_fits_with_one_misfit_the_least_chi_square_is_stated() -> None:
