@@ -99,7 +99,8 @@ def _announce(rig: str, path: Path, twins: Twins) -> None:
         print(f"  printf '[calibration]\\nfiles = [\"camera.toml\"]\\n' >> {mine}")
     print(f"  gonio rig check --rig {mine}")
     print(f"  gonio measure PLAN --rig {mine} --out RUN --yes")
-    print(f"without --yes you swap what lies in the holder: echo mirror > {shlex.quote(str(folder / TARGET_FILE))}")
+    target = shlex.quote(str(folder / TARGET_FILE))
+    print(f"the twins swap what lies in the holder by themselves; another thing: echo mirror > {target}")
     if twins.tcp:
         print("\n".join(f"  {name}: {peer.port}" for name, peer in twins.peers.items()))
     if twins.replays:
