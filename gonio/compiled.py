@@ -23,6 +23,7 @@ import numba.core.options
 
 try:
     from numba.core.caching import FunctionCache, IndexDataCacheFile
+    from numba.core.runtime import rtsys
 except ImportError:  # numba's insides are its own: without these names its plain cache serves
     FunctionCache = IndexDataCacheFile = None
 
@@ -148,7 +149,9 @@ if FunctionCache is not None:
 
         def load_overload(self, signature: Any, target: Any) -> Any:
             try:
-                found = super().load_overload(signature, target)
+                rtsys.initialize(target)  # the rest of what `super` prepares is for compiling, and takes 0.2 s
+                with self._guard_against_spurious_io_errors():
+                    found = self._load_overload(signature, target)
                 if found is None:
                     _say_once(self.cache_path)
                 return found

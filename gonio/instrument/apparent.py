@@ -25,7 +25,7 @@ from gonio.models import Model, engine, geometry
 from gonio.models._compile import loop
 from gonio.models._hemisphere import gauss
 from gonio.models.parameters import checked_wavelength, choice, number
-from gonio.typing import ArrayLike, Floats, Ints
+from gonio.typing import ArrayLike, Floats, Ints, NDArray
 
 STEPS = 2048
 """Steps of the table of rho_s from cos(theta) = 0 to 1."""
@@ -183,6 +183,7 @@ class Cones:
         self._half_angles = _half_angles(source_solid_angle_sr, receiver_solid_angle_sr)
         self._exact = choice("spike", spike, ("nominal", "exact")) == "exact"
         self._tolerance = tolerance
+        self._last: tuple[tuple[Model, float], tuple[Floats, NDArray[np.int8]]] | None = None
 
     def centre(self, model: Model, *, wavelength_nm: float = 550.0) -> Any:
         """The lobe [1/sr] along the axes of the cones."""
@@ -190,13 +191,22 @@ class Cones:
 
     def lobe(self, model: Model, *, wavelength_nm: float = 550.0, rules: Rules | None = None) -> Any:
         """The lobe's average over the cones [1/sr]; with the `rules` of a like model, not searched for again."""
-        lobe, at = self._lobe(model, wavelength_nm), (self._omega_i, self._omega_r)
-        values = lobe.choose(*at)[0] if rules is None else lobe.by_rules(*at, rules)
+        if rules is None:
+            values = self._chosen(model, wavelength_nm)[0].copy()
+        else:
+            values = self._lobe(model, wavelength_nm).by_rules(self._omega_i, self._omega_r, rules)
         return values.reshape(self._where.shape)[()]
 
     def rules(self, model: Model, *, wavelength_nm: float = 550.0) -> Rules:
         """Rules of the average over the cones for this model, which `lobe` can take for similar ones."""
-        return Rules(self._lobe(model, wavelength_nm).choose(self._omega_i, self._omega_r)[1])
+        return Rules(self._chosen(model, wavelength_nm)[1])
+
+    def _chosen(self, model: Model, wavelength_nm: float) -> tuple[Floats, NDArray[np.int8]]:
+        """Averages, and the numbers of rules; of the last model they are known, for a fit asks for both."""
+        if self._last is None or self._last[0] != (model, wavelength_nm):
+            chosen = self._lobe(model, wavelength_nm).choose(self._omega_i, self._omega_r)
+            self._last = (model, wavelength_nm), chosen
+        return self._last[1]
 
     def _lobe(self, model: Model, wavelength_nm: float) -> Lobe:
         return Lobe(model, checked_wavelength(wavelength_nm), *self._half_angles, self._tolerance)

@@ -4,6 +4,7 @@ The misfit is a Gaussian process (`gonio.models.gaussian_process`) on the scale 
 but the smallest values.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -87,10 +88,21 @@ class Correction:
         root : (n, k) array [1/sr]
             root @ root.T is its covariance, the common causes of the measurement included.
         """
+        brdf, covariance, scale = self._beside(at, model)
+        values, vectors = np.linalg.eigh(covariance)
+        return brdf, vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]
+
+    def total(self, at: Directions, model: Floats, share: Floats) -> tuple[float, float]:
+        """The sum of `share` times what `beside` has, and its standard uncertainty."""
+        brdf, covariance, scale = self._beside(at, model)
+        weights = share * scale
+        return float(share @ brdf), math.sqrt(max(float(weights @ covariance @ weights), 0.0))
+
+    def _beside(self, at: Directions, model: Floats) -> tuple[Floats, Floats, Floats]:
+        """The BRDF with its misfit, the covariance of its logarithm, and what that is multiplied by."""
         brdf = self.applied(at, model)
         covariance = self.wider**2 * self.process.covariance_at(Coordinates.of(at)) + self._grown(at)
-        values, vectors = np.linalg.eigh(covariance)
-        return brdf, vectors * np.sqrt(np.maximum(values, 0.0)) * np.hypot(brdf, 2 * self.small)[:, None]
+        return brdf, covariance, np.hypot(brdf, 2 * self.small)
 
     def open(self, at: Directions) -> Floats:
         """How little values near by say of the misfit, (n,): the part of its variance that they leave, 0 to 1."""

@@ -94,12 +94,12 @@ def _with_misfit(result: FitResult, theta_i: float, phi_i: float, wave: float, v
     correction = result.misfit.correction
     of_parameters = result.parameter_root(at, wave)
     at = folded(at, result.model)
-    brdf, root = correction.beside(at, model)
     open_part = correction.open(at)
     unmeasured = (1.0 - spike / value) * float(np.mean(open_part > UNMEASURED))
     share = (value - spike) / model.size / model
-    known = spike + float(share @ brdf)
-    parts = (share @ root, (share * open_part) @ of_parameters, [spike * correction.spike])
+    known, of_misfit = correction.total(at, model, share)
+    known += spike
+    parts = ([of_misfit], (share * open_part) @ of_parameters, [spike * correction.spike])
     open_ = float(np.linalg.norm(np.concatenate(parts)))
     u = math.hypot(open_, known - value)
     return _stated(

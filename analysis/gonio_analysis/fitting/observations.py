@@ -47,6 +47,8 @@ BEYOND, AROUND = 30.0, 3
 """A value with u beyond so many times the median of so many seen ones around it says nothing that they do not."""
 STEEP = 3.0
 """What half vectors count, beside directions of the detector, where neighbours are sought: lobes follow them."""
+DIRECT = 100_000
+"""Pairs of places whose distances are all taken: more are worth the 0.3 s that the import of a tree takes."""
 LARGEST = 1e30
 """[1/sr] No BRDF: a perfect mirror seen through a cone of a nanoradian has less. Squares of such values overflow."""
 
@@ -394,12 +396,20 @@ def _saying_nothing(
         same = np.isnan(wavelength_nm) if np.isnan(wave) else wavelength_nm == wave
         here, others = rows[same[rows]], np.flatnonzero(used & seen & same)
         if others.size >= AROUND:
-            from scipy.spatial import cKDTree  # most tables have no such rows
-
-            near = others[cKDTree(places(others)).query(places(here), AROUND)[1]]
+            near = others[_nearest(places(here), places(others))]
             u = known(here.astype(np.int32)).total
             out.append(here[u > BEYOND * np.median(size[near], axis=1)])
     return np.concatenate(out)
+
+
+def _nearest(places: Floats, others: Floats) -> npt.NDArray[np.intp]:
+    """The `AROUND` nearest of other places (m, k) to each of some (n, k), in any order."""
+    if len(places) * len(others) <= DIRECT:
+        square = np.sum((places[:, None] - others) ** 2, axis=2)
+        return np.argpartition(square, AROUND - 1, axis=1)[:, :AROUND]
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(others).query(places, AROUND)[1])
 
 
 def _stated(

@@ -441,9 +441,11 @@ def derivatives(
             high, low = (apparent(problem.model(x), data, quick=quick, rules=rules) for x in (up, down))
             rise = high - low
         else:
-            up[together] += np.where(vector[together] + SMALL_STEP <= upper[together], SMALL_STEP, -SMALL_STEP)
+            for k in together:
+                up[k] += SMALL_STEP if vector[k] + SMALL_STEP <= upper[k] else -SMALL_STEP
             rise = apparent(problem.model(up), data, quick=True) - here
         for k in together:  # a parameter of one wavelength changes the values at that alone
-            wave, column = problem.own_wavelength(k), rise / (up[k] - down[k])
-            columns[k] = column if wave is None else np.where(data.wavelength_nm == wave, column, 0.0)
+            np.divide(rise, up[k] - down[k], out=columns[k])
+            if (wave := problem.own_wavelength(k)) is not None:
+                columns[k] *= data.wavelength_nm == wave
     return columns[asked].T

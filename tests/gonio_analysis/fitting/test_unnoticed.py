@@ -51,7 +51,7 @@ def test_a_misfit_of_that_size_is_found_in_half_of_the_cases(
     base = fit(make(1), model)
     size = known(base.tau).interval[1]
     asked = FitRequest(model, start=[base.problem.values(base.vector)])
-    monkeypatch.setattr(fits, "_nearest", lambda rejected, say: rejected)  # whether it is rejected is enough
+    monkeypatch.setattr(fits, "nearest", lambda rejected, *_, **__: rejected)  # whether it is rejected is enough
     count = 30
 
     def found(times: float) -> float:
