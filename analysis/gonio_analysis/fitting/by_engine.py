@@ -5,8 +5,9 @@ last step, standard errors. What it finds counts where nothing is left to ask: t
 stands at a bound, and all of them are determined. Everything else is searched for as ever.
 
 Where the data reject the model the engine tells both ends that such a fit needs: the least chi-square, and the nearest
-model by logarithms. The second one is a neighbour of the first. Where one of them stands at a bound another valley may
-be nearer, as with 20 of 95 fits of Cook-Torrance to other models' values: there the nearest one is searched for.
+model by logarithms. The second one is a neighbour of the first. Where the first one leaves a parameter open, as the
+width of a lobe that has gone, another valley may be nearer: so with 20 of 95 fits of Cook-Torrance to other models'
+values. There the nearest one is searched for.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from gonio_analysis.fitting.minimum import as_stated
 from gonio_analysis.fitting.objective import alone, scaled_to
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import FitRequest, Problem, pose
-from gonio_analysis.fitting.search import AT_BOUND, refine
+from gonio_analysis.fitting.search import refine
 from gonio_analysis.fitting.settling import settle
 from gonio_analysis.fitting.spectrum import shares
 
@@ -69,9 +70,7 @@ def fit_by(engine: Engine, data: Observations, asked: FitRequest, *, name: str =
         return "an unsettled solution"
     result = concluded(problem, data, goal, end, jacobian, wavelength)
     if result.rejected and rejected:
-        lower, upper = problem.bounds
-        inner = np.minimum([vector - lower, close - lower], [upper - vector, upper - close])
-        return nearest(result, end=close if np.all(inner > AT_BOUND * (upper - lower)) else None)
+        return nearest(result, end=close if _determined(result) else None)
     return "a rejected model" if result.rejected else _doubt(result) or result
 
 
@@ -94,9 +93,12 @@ def _beyond(problem: Problem, data: Observations) -> str:
 
 def _doubt(result: FitResult) -> str:
     """Why a solution may not be the one that a search would end in; "" where nothing is left to ask."""
-    lower, upper = result.problem.bounds
     if any(one.at_bound for one in result.parameters.values()):
         return "a parameter at its bound"
-    if not np.all(np.sqrt(np.diag(result.spread)) < UNKNOWN * (upper - lower)):
-        return "a parameter that is not determined"
-    return ""
+    return "" if _determined(result) else "a parameter that is not determined"
+
+
+def _determined(result: FitResult) -> bool:
+    """Whether the data tell each parameter."""
+    lower, upper = result.problem.bounds
+    return bool(np.all(np.sqrt(np.diag(result.spread)) < UNKNOWN * (upper - lower)))
