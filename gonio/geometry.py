@@ -46,6 +46,8 @@ degrees for one step of an encoder."""
 IN_PLANE = float(np.radians(1.5))
 """A detector is in the plane of incidence: the angle between it and the plane, not an azimuth (near the normal a large
 azimuth is a small angle). Instruments' cones are as wide."""
+MOST_IN_PLANE = 5000
+"""Directions of one incidence that are asked in which plane they lie: a second decimal of their share needs no more."""
 SAME_SPIKE = float(np.radians(1.5))
 """Angles of incidence share one specular spike: its reflectivity changes by a few percent at most in between."""
 SAME_AZIMUTH = float(np.radians(2.0))
@@ -181,6 +183,25 @@ def groups(theta: Floats, phi: Floats, rows: Ints) -> list[Ints]:
     return out
 
 
+def _distinct(phi: Floats) -> Floats:
+    """One of every degree that azimuths have."""
+    return np.asarray(phi[np.unique(np.round(np.degrees(phi)), return_index=True)[1]])
+
+
+def _fullest_plane(theta: Floats, phi: Floats, known: Floats) -> float:
+    """Azimuth of the plane through the normal that holds most directions: the first of `known`, or through one of them.
+
+    Of very many directions some thousands tell.
+    """
+    theta, phi = (a[:: 1 + a.size // MOST_IN_PLANE] for a in (theta, phi))
+    planes = np.concatenate([known, _distinct(phi % np.pi)])
+    off = np.abs(np.sin(theta) * np.sin(phi - planes[:, None]))
+    inside = off <= math.sin(IN_PLANE)
+    fullest = np.flatnonzero(inside.sum(axis=1) == inside.sum(axis=1).max())
+    first = fullest[0] if fullest[0] < known.size else fullest[np.argmin((off * inside)[fullest].sum(axis=1))]
+    return float(planes[first])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
     """Where source and detector are, seen from the sample (docs/conventions.md): what every step takes and gives.
@@ -251,6 +272,27 @@ class Directions:
     def seen_from(self, phi_i: ArrayLike) -> Directions:
         """The same detectors with another azimuth of the source: at normal incidence its own means nothing."""
         return Directions(self.theta_i, phi_i, self.theta_r, self.phi_r)
+
+    def settled_at_normal(self) -> Directions:
+        """The same directions, with azimuths of the source near the normal that say where the detectors are.
+
+        Below `AT_NORMAL` a measured azimuth of the source is that of an error of alignment. It becomes that of the
+        plane through the normal that holds most detectors: of planes with as many, one of the incidences beyond, then
+        the stated one. The source is on the side that it has at the incidences beyond.
+        """
+        near = np.broadcast_to(self.theta_i < AT_NORMAL, self.shape)
+        if not near.any():
+            return self
+        theta_i, phi_i, theta_r, phi_r = (np.broadcast_to(a, self.shape) for a in self.angles)
+        beyond, settled = _distinct(phi_i[theta_i >= AT_NORMAL]), phi_i.copy()
+        for rows in groups(theta_i, phi_i, np.flatnonzero(near)):
+            own = np.angle(np.exp(1j * phi_i[rows]).sum()) % TWO_PI
+            toward = beyond if beyond.size and theta_i[rows].max() < SAME_ANGLE else np.array([own])
+            plane = _fullest_plane(theta_r[rows], phi_r[rows], np.append(toward, own))
+            across = np.cos(toward - plane)
+            side = across[np.argmax(np.round(np.abs(across), 6))]
+            settled[rows] = plane if side >= 0.0 else wrap(plane + np.pi)
+        return self.seen_from(settled)
 
     @property
     def swapped(self) -> Directions:

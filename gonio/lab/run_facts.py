@@ -335,7 +335,7 @@ def _budget(
 
 def _curves(rows: DataFrame, shares: Floats) -> list[BudgetCurve]:
     """Curves in the plane of incidence, of at least two values."""
-    at = Directions.from_table(rows)
+    at = Directions.from_table(rows).settled_at_normal()
     theta_i, signed = np.round(np.degrees(at.theta_i)), np.degrees(at.signed)
     out = []
     # encoders read the same nominal angle within a step

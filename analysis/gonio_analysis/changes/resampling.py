@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio.geometry import SAME_ANGLE, Directions, direction, groups
+from gonio.geometry import AT_NORMAL, SAME_ANGLE, Directions, direction, groups
 from gonio.progress import Pace, Say, silent
 from gonio.typing import Floats, Ints
 from gonio_analysis.changes.interpolation import Interpolations, Places
@@ -133,7 +133,7 @@ def carry(a: Observations, b: Observations, say: Say = silent, known: Interpolat
                 missing["at another incidence"] = missing.get("at another incidence", 0) + group.size
                 continue
             partner, incident = pool[int(np.argmin(off))], a.directions[group]
-            normal = float(incident.phi_i[0]) if incident.theta_i.max() < SAME_ANGLE else None
+            normal = float(incident.settled_at_normal().phi_i[0]) if incident.theta_i.max() < AT_NORMAL else None
             holes = unused.at(b, partner, gone, normal)
             between = known.between(_places(incident, normal), _places(b.directions[partner], normal), holes)
             noise = b.covariance.random[partner] if b.covariance is not None else None
@@ -173,14 +173,16 @@ def _carried_noise(weights: Floats, near: Ints, random: Floats) -> tuple[Floats,
 def turned_in_plane(directions: Directions, by: float) -> tuple[Directions, Any]:
     """Receivers turned in the plane of incidence, toward the mirror direction, by an angle [rad]; which are above the
     surface."""
-    blocks = range(0, max(len(directions), 1), AT_ONCE)  # one block also where there are no directions
-    turned, above = zip(*(_turned(directions[k : k + AT_ONCE], by) for k in blocks), strict=True)
+    planes = np.broadcast_to(directions.settled_at_normal().phi_i, directions.shape)
+    # one block also where there are no directions
+    parts = (slice(k, k + AT_ONCE) for k in range(0, max(len(directions), 1), AT_ONCE))
+    turned, above = zip(*(_turned(directions[part], planes[part], by) for part in parts), strict=True)
     return Directions(*np.concatenate([one.angles for one in turned], axis=1)), np.concatenate(above)
 
 
-def _turned(directions: Directions, by: float) -> tuple[Directions, Any]:
+def _turned(directions: Directions, plane: Floats, by: float) -> tuple[Directions, Any]:
     source, receiver = directions.vectors
-    across = np.column_stack([-np.cos(directions.phi_i), -np.sin(directions.phi_i)])
+    across = np.column_stack([-np.cos(plane), -np.sin(plane)])
     along = np.sum(receiver[:, :2] * across, axis=1)
     high = receiver[:, 2]
     moved = receiver.copy()
@@ -225,7 +227,7 @@ class RowsAt:
 
 
 def _places(d: Directions, normal: float | None) -> Places:
-    """Where directions lie; at normal incidence azimuths count from `normal`, as that of the source means nothing."""
+    """Where directions lie; at normal incidence azimuths count from `normal`, a plane of the detectors."""
     if normal is not None:
         d = d.seen_from(normal)
     points = d.from_incidence

@@ -1,20 +1,21 @@
 """Curves in the plane of incidence, and what each is normalised by.
 
 A direction counts as in plane where it lies within `geometry.IN_PLANE` of the plane of incidence (the angle between the
-direction and that plane, not an azimuth: near the normal a large azimuth is a small angle). The running angle is
-signed: negative on the retro side, positive on the mirror side.
+direction and that plane, not an azimuth: near the normal a large azimuth is a small angle). At normal incidence that
+plane is the one of `Directions.settled_at_normal`. The running angle is signed: negative on the retro side, positive on
+the mirror side.
 
 Usually the detector moves and theta_i is the curve's parameter. Where an instrument holds the detector still and moves
 the source, a curve is what that instrument scanned: its parameter is theta_r, and the source's angle runs.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from gonio import geometry
-from gonio.geometry import AT_MIRROR, IN_PLANE, SAME_ANGLE, Directions, groups
+from gonio.geometry import AT_MIRROR, AT_NORMAL, IN_PLANE, SAME_ANGLE, Directions, groups
 from gonio.polarisation import UNPOLARISED
 from gonio.typing import Floats, Ints
 from gonio_analysis.fitting.forward import NO_WAVELENGTH_NM, seen
@@ -133,20 +134,18 @@ def curves(data: Observations) -> list[Curve]:
 
     Of polarised light each state has curves of its own; differences (Stokes parameters) are none.
     """
-    at = data.directions
-    side = np.abs(at.out_of_plane)
-    inside = np.flatnonzero((side <= IN_PLANE) | (at.theta_i < SAME_ANGLE))
+    frames = [(_frame(data.directions, scanned), scanned) for scanned in get_args(Scanned)]
     out = []
     for state in sorted({*data.states.tolist()}) or [UNPOLARISED]:
-        here = inside[data.states[inside] == state] if data.states.size else inside
+        here = data.states == state if data.states.size else np.ones(len(data), bool)
         if state != UNPOLARISED and not state.islower():
             continue
-        by_incidence = _at_one_angle(at.theta_i, groups(at.theta_i, at.phi_i, here))
-        by_view = _at_one_angle(at.theta_r, groups(at.theta_r, at.phi_r, here))
-        if len(by_view) * 3 <= len(by_incidence):  # the source was moved, in steps finer than the detector's
-            out += _curves(data, by_view, "theta_i", side, state)
-        else:
-            out += _curves(data, by_incidence, "theta_r", side, state)
+        by_incidence, by_view = (
+            _at_one_angle(at.theta_i, groups(at.theta_i, at.phi_i, np.flatnonzero(here & (side <= IN_PLANE))))
+            for (at, side), _ in frames
+        )
+        moved = len(by_view) * 3 <= len(by_incidence)  # the source was, in steps finer than the detector's
+        out += _curves(data, by_view if moved else by_incidence, *frames[moved], state)
     return sorted(out, key=lambda c: (c.scanned, round(np.degrees(c.parameter), 1), c.phi_i, c.state))
 
 
@@ -163,41 +162,41 @@ def _at_one_angle(theta: Floats, chains: list[Ints]) -> list[Ints]:
     return out
 
 
-def _curves(data: Observations, groups: list[Ints], scanned: Scanned, side: Floats, state: str) -> list[Curve]:
-    u = data.u
+def _frame(at: Directions, scanned: Scanned) -> tuple[Directions, Floats]:
+    """Directions as of a curve, the one that stands still as that of the source, and how far out of plane each is."""
+    if scanned == "theta_r":
+        frame = at.settled_at_normal()
+        return frame, np.abs(frame.out_of_plane)
+    frame = at.swapped.settled_at_normal()
+    near = np.minimum(at.theta_i, at.theta_r) < AT_NORMAL  # a plane of incidence means nothing there
+    return frame, np.abs(np.where(near, frame.out_of_plane, frame.swapped.out_of_plane))
+
+
+def _curves(
+    data: Observations, groups: list[Ints], frame: tuple[Directions, Floats], scanned: Scanned, state: str
+) -> list[Curve]:
+    (every, side), u = frame, data.u
     out = []
     for group in groups:
-        at = data.directions[group]
-        at_normal = bool(at.theta_i.max() < SAME_ANGLE)
-        # at normal incidence the azimuth of the source means nothing: one azimuth of the table is taken for all
-        phi_i = _mean_azimuth(at.phi_i) if scanned == "theta_r" else _mean_azimuth(at.phi_r) + np.pi
-        if at_normal:
-            at = at.seen_from(phi_i)
-        flat = at.in_plane
-        group, at = group[flat], at[flat]
-        still, angle = (at.theta_i, at.signed) if scanned == "theta_r" else (at.theta_r, at.swapped.signed)
-        order = np.argsort(angle, kind="stable")
-        if order.size < 2:
+        if group.size < 2:
             continue
-        rows = group[order]
+        rows = group[np.argsort(every[group].signed, kind="stable")]
+        at = every[rows]
+        phi = np.arctan2(np.sin(at.phi_i).mean(), np.cos(at.phi_i).mean())
         out.append(
             Curve(
                 scanned=scanned,
-                parameter=float(still[order].mean()),
-                phi_i=float(geometry.wrap(phi_i)),
-                angle=angle[order],
+                parameter=float(at.theta_i.mean()),
+                phi_i=float(geometry.wrap(phi if scanned == "theta_r" else phi + np.pi)),
+                angle=at.signed,
                 rows=rows,
                 brdf=data.brdf[rows],
                 u=u[rows],
-                out_of_plane=0.0 if at_normal else float(side[rows].max()),
+                out_of_plane=float(side[rows].max()),
                 state=state,
             )
         )
     return out
-
-
-def _mean_azimuth(phi: Floats) -> float:
-    return float(geometry.wrap(np.arctan2(np.sin(phi).mean(), np.cos(phi).mean())))
 
 
 def evenly(count: int, most: int) -> list[int]:

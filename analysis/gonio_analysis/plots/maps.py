@@ -172,8 +172,9 @@ def slices(data: Observations, rows: Ints) -> list[Line]:
 
     The signed angle is positive where the receiver is on the mirror side of the plane across the plane of incidence.
     """
-    rows = rows[~data.directions[rows].in_plane]
-    at = data.directions[rows]
+    at = data.directions.settled_at_normal()
+    rows = rows[~at.in_plane[rows]]
+    at = at[rows]
     turn = np.round(np.degrees(at.dphi) % 180.0, 0)
     out, nothing = [], np.empty(0)
     for half in np.unique(turn):

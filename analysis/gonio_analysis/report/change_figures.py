@@ -128,7 +128,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
         marked = np.zeros(rows.size, dtype=bool)
         top = max(float(np.quantile(np.abs(value), 0.95)) if rows.size else 0.0, 1e-3)
     what += "; upright triangles: above 0, circles: 0" + "; rings mark values that changed" * (c.verdict is not None)
-    d = at.directions
+    d = at.directions.settled_at_normal()
     off, out = ~d.in_plane, []
     flat = np.flatnonzero(~off)
     if flat.size and np.unique(np.round(np.degrees(d.theta_i[flat]), 1)).size <= MOST_LEVELS:
@@ -358,7 +358,7 @@ def _maps(c: LaboratoryComparison, at: Observations, where: str) -> list[Drawing
     """E_n over the directions of those laboratories that are farthest off."""
     score = np.array([x.e_n for x in c.alone])
     farthest = sorted(range(len(c.laboratories)), key=lambda k: -float(np.mean(score[:, k] ** 2)))[:MOST_MAPS]
-    out, d = [], at.directions
+    out, d = [], at.directions.settled_at_normal()
     for k in sorted(farthest):
         map_name, name, value = f"map-{k + 1}", c.laboratories[k].name, score[at.rows, k]
         far = np.abs(value) > 1.0

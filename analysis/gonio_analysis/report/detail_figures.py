@@ -52,7 +52,7 @@ def draw(d: DatasetSummary, most: int) -> list[Drawing]:
 
 
 def _incidences(d: Dataset) -> list[Ints]:
-    at = d.data.directions
+    at = d.data.directions.settled_at_normal()
     every = groups(at.theta_i, at.phi_i, np.arange(len(d.data)))
     enough = [g for g in every if np.count_nonzero(~at.in_plane[g]) >= FEWEST]
     return [enough[k] for k in evenly(len(enough), MOST)]
@@ -69,7 +69,7 @@ def _theta(d: Dataset, rows: Ints) -> float:
 def _heat(d: DatasetSummary, rows: Ints, k: int, most: int) -> Drawing:
     data, theta = d.data, _theta(d, rows)
     rows = rows[data.brdf[rows] > 0]
-    at = data.directions[rows]
+    at = data.directions.settled_at_normal()[rows]
     some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, max(most, MOST_ON_DISC))
     caption = (
         f"Hemisphere, θi = {np.degrees(theta):.1f}°: {_measured(d)} BRDF over the receiver's direction; radius: θr."
@@ -115,7 +115,7 @@ def _lobe(d: DatasetSummary, rows: Ints, most: int) -> Drawing:
         # the lobe without its spike, which would leave nothing else to see
         return seen(best.model, at, wavelength_nm=nm, cones=(0.0, 0.0), state=state, polarisers=data.polarisers)
 
-    at = data.directions[rows]
+    at = data.directions.settled_at_normal()[rows]
     mesh, values = maps.lobe_mesh(brdf), data.brdf[rows]
     some = thinning.over_hemisphere(at.theta_r, at.dphi, values, DISC_PT, most)
     far = values[maps.beyond(mesh, values)]

@@ -174,11 +174,11 @@ def _absolute(d: DatasetSummary, names: Sequence[str], most: int) -> Drawing:
     model, f, data = names[0], d.models[names[0]], d.models[names[0]].fit.data
     lines, stated = [c.absolute() for c in f.drawn], f.fit.goal.whitened
     rest = np.setdiff1d(np.arange(len(data)), [row for c in f.drawn for row in c.curve.rows])
-    at = data.directions[rest]
     with np.errstate(divide="ignore"):
         values = f.fit.whitened[rest] if stated else f.fit.predicted[rest] / data.brdf[rest] - 1.0
     scanned = d.curves[0].scanned if d.curves else "theta_r"
-    angle = (at.swapped if scanned == "theta_i" else at).signed
+    at = data.directions.swapped if scanned == "theta_i" else data.directions
+    angle = at.settled_at_normal()[rest].signed
     low = thinning.of_residuals(lines, PANEL_PT, 0.25 * PANEL_PT, most)
     some = thinning.residuals(angle, values, PANEL_PT, 0.25 * PANEL_PT, most)
     kind = (

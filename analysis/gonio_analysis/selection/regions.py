@@ -124,7 +124,8 @@ def farthest(result: FitResult) -> WorstRegion | None:
     def typical(rows: Rows) -> float:
         return math.sqrt(max(float(weight[rows] @ square[rows] / weight[rows].sum()), 0.0))
 
-    words, here = max(_regions(data.directions[seen], weight), key=lambda found: typical(found[1]))
+    at = data.directions.settled_at_normal()
+    words, here = max(_regions(at[seen], weight), key=lambda found: typical(found[1]))
     excess, single = float((logs[here] ** 2).sum()), int(np.argmax(part * np.abs(logs)))
     return WorstRegion(
         words,
@@ -135,7 +136,7 @@ def farthest(result: FitResult) -> WorstRegion | None:
         typical(here),
         0.0 if result.misfit is None else result.misfit.tau,
         float(np.exp(logs[single])),
-        _place(data.directions[int(seen[single])]),
+        _place(at[int(seen[single])]),
     )
 
 

@@ -138,3 +138,21 @@ def test_angles_without_a_step_are_curves_of_every_tenth_degree() -> None:
     found = curves(observations(frame))
     assert [round(math.degrees(c.parameter) / 10.0) for c in found] == [0, 1, 2, 3, 4, 5, 6, 7]
     assert all(abs(math.degrees(c.parameter) - 10 * k) < 0.4 for k, c in enumerate(found))
+
+
+def test_normal_incidence_of_an_aligned_rig_is_in_the_plane_of_its_detectors() -> None:
+    table = measure(GLOSS, incidences=(0.0, 30.0))
+    known = curves(observations(table))
+    aligned = table.copy()
+    aligned.loc[table["theta_i_deg"] == 0.0, ["theta_i_deg", "phi_i_deg"]] = 0.015, 237.0
+    for swap in (False, True):
+        if swap:  # a detector that stands at the normal: the same with source and detector exchanged
+            names = {f"{a}_{i}_deg": f"{a}_{r}_deg" for a in ("theta", "phi") for i, r in ("ir", "ri")}
+            aligned = aligned.rename(columns=names)
+        found = curves(observations(aligned))
+        assert len(found) == len(known)
+        for a, b in zip(found, known, strict=True):
+            np.testing.assert_allclose(a.angle, b.angle, atol=1e-12)  # rounding of the azimuths
+            np.testing.assert_array_equal(a.brdf, b.brdf)
+            assert a.scanned == ("theta_i" if swap else "theta_r")
+            assert a.out_of_plane < 1e-12
