@@ -38,7 +38,7 @@ GRID_POINTS = 250
 COARSE_U = 0.15
 """Relative uncertainty added while the start is sought."""
 MOST = 1000
-"""Values that are searched, of more than that: from 5000 values to a million a search takes as long."""
+"""Values that are searched, of more than that; the least end is then refined on all."""
 HIGHEST = ("ngan", "cube-root", "relative")
 """Metrics whose valleys are sought apart from that of the logarithms."""
 AT_BOUND = 1e-3
