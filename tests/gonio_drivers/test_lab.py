@@ -33,7 +33,7 @@ from gonio.lab.commands.rigs import checks
 from gonio.lab.reduction import brdf
 from gonio.lab.rig import Pose
 from gonio.lab.rig.description import RigDescription
-from tests.command_line import says
+from tests.command_line import gonio, says
 from tests.gonio.numpy_rig import plan_in
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, SAMPLE, SCALE, opened, small
 
@@ -380,6 +380,14 @@ def test_a_wrong_key_is_named(path: str, value: object, message: str) -> None:
         del table[last]
     with pytest.raises(ConfigError, match=message):
         LAB.open(description.model_copy(update={"devices": devices}), sample=None, seed=0, confirm=False)
+
+
+def test_a_plan_shown_on_a_rig_file_names_keys_that_no_driver_knows(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(THREE_SERVOS.toml.replace("zero_count", "zero_cuont", 1))
+    sweep = "[[sweep]]\ntheta_i_deg = [30]\ntheta_r_deg = [20, 60]\n"
+    (tmp_path / "plan.toml").write_text(f'name = "p"\nwavelength_nm = [530]\n{sweep}')
+    done = gonio(tmp_path, "plan", "show", "plan.toml", "--rig", "rig.toml", expect=0)
+    says(done.stdout, "cannot be opened", "rig.toml", "devices.servos.axes.light.zero_cuont", "zero_count")
 
 
 def test_missing_ports_end_with_exit_code_3_and_one_message(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from gonio.checks.verdicts import Check
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.plots.in_plane import COLOURS, clean, style
 from gonio_analysis.plots.style import FAINT
-from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Table, Text, strong, table
+from gonio_analysis.report.blocks import Block, Figures, Heading, Notes, Paragraph, Span, Table, Text, strong, table
 from gonio_analysis.report.drawing import Drawing, Figure
 from gonio_analysis.report.section import Section
 from gonio_analysis.report.text import angle, number, with_u
@@ -107,6 +107,13 @@ def _reflectances(own: Sequence[Reflectance]) -> Table:
         [angle(r.theta_i_deg), with_u(r.rho_dh, r.u), *(number(getattr(r, part), 2) for part in parts)] for r in own
     ]
     return table(words, ["θi", "rho_dh", *(PARTS[part] for part in parts)], rows, right=(1, 2, 3, 4))
+
+
+def bad(c: ChecksSummary | None, slug: str) -> list[Block]:
+    """One line for what is wrong with the measurement itself, which leads to the checks of the sample; else nothing."""
+    said = [f"{one.name} ({one.figure})" for one in ([] if c is None else c.checks) if one.verdict == "bad"]
+    where = Span("Checks", href=f"#{slug}.checks")
+    return [Paragraph((strong("Bad: "), f"{', '.join(said)}; see ", where, "."), "note")] if said else []
 
 
 def in_words(c: ChecksSummary) -> str:

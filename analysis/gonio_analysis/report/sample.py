@@ -8,7 +8,7 @@ from gonio.checks.symmetry import Pairs
 from gonio.formats.reader import TableBand
 from gonio.shown import finite
 from gonio_analysis.fitting.objective import meaning as meaning_of_metric
-from gonio_analysis.report import blocks, frame, sections, verdict
+from gonio_analysis.report import blocks, checks, frame, sections, verdict
 from gonio_analysis.report import model_tables as models
 from gonio_analysis.report.blocks import (
     Block,
@@ -61,7 +61,12 @@ def section(s: Summary, d: DatasetSummary, figures: Sequence[Figure], view: View
         return [block for words, make in parts.items() for block in part(words, d.name, make)]
 
     first = frame.answer(
-        made({"the verdict": lambda: [lead(d.verdict), *([Paragraph(d.remedy, "note")] if d.remedy else [])]}),
+        made(
+            {
+                "the verdict": lambda: [lead(d.verdict), *([Paragraph(d.remedy, "note")] if d.remedy else [])],
+                "bad checks": lambda: checks.bad(d.checks, d.slug),
+            }
+        ),
         made({"plots in plane": lambda: _picture(d, by, view)}),
         made({"models": lambda: [models.beside_plot(d)] if d.models else [_values(d)]}),
         frame.folded(made({"all models": lambda: models.below_plot(d)}), d.slug),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gonio.cli import console
-from gonio.errors import ConfigError
+from gonio.errors import ConfigError, DataError
 from gonio.lab.commands import plans
 from gonio.lab.commands.progress import on_screen
 from gonio.platform import command_line
@@ -101,6 +101,12 @@ def reduce(
     with console.counter("reducing", lines=True) as progress:
         found = brdf.reduce_in_parts(opened, progress=progress)
     table, verdict = found.table, ""
+    for note in table.attrs["notes"]:  # what the values rest on
+        console.note(note)
+    good, flags = table[table["flag"] == ""], _flags(table["flag"])
+    if good.empty:
+        again = "; gonio measure --resume goes on with it" if (table["flag"] == "not_measured").any() else ""
+        raise DataError(f"{run}: none of its {len(table)} values is usable ({flags}): no table is written{again}")
     beside: dict[str, pd.DataFrame | bytes] = {"budget.csv": found.budget}
     if monte_carlo is not None:
         from gonio.lab.reduction import monte_carlo as drawing
@@ -114,14 +120,9 @@ def reduce(
             verdict += f"; more than {drawing.KEPT:.0e} numbers: the draws are not kept"
         table.attrs["provenance"]["monte_carlo"] = {"draws": monte_carlo, "seed": seed, "verdict": verdict}
     path = opened.write_table(table, beside)
-    for note in table.attrs["notes"]:  # what the values rest on
-        console.note(note)
-    good = table[table["flag"] == ""]
-    flags = _flags(table["flag"])
     console.show(f"{path}: {len(good)} values of {len(table)}" + (f" ({flags})" if flags else ""))
-    if len(good):
-        relative = float((good["u_brdf"] / good["brdf"].abs()).median())
-        console.show(f"median standard uncertainty {100 * relative:.2g} %")
+    relative = float((good["u_brdf"] / good["brdf"].abs()).median())
+    console.show(f"median standard uncertainty {100 * relative:.2g} %")
     if verdict:
         console.show(verdict)
     for line in _checks(table.attrs["provenance"]["checks"]):

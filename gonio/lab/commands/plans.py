@@ -172,6 +172,7 @@ def describe(plan: Plan, seen: Prepared | None, *, out: Path | None = None, left
     console.show(
         f"rig: {rig.description.name}",
         *calibrations(rig.description),
+        *wrong_devices(rig),
         f"bands: {', '.join(f'{b.name} (centre {b.centre_nm:g} nm, width {b.fwhm_nm:g} nm)' for b in bands)}",
         *_effort(written, points, rig, rig.schedule(plan, points), out),
     )
@@ -289,6 +290,16 @@ def _table(plan: Plan, points: list[Assessed], *, with_rig: bool) -> Table:
             row += [str(sum(place.assessed.pose is not None for place in group)), _missing(group)]
         table.add_row(*row)
     return table
+
+
+def wrong_devices(rig: RigChoice) -> list[str]:
+    """What the driver refuses of the rig file's `[devices]`, of which it touches none for that."""
+    if rig.description.devices:
+        try:
+            rig.open(by_hand=True)
+        except ConfigError as error:
+            return [f"this rig cannot be opened: {error}"]
+    return []
 
 
 def calibrations(description: RigDescription) -> list[str]:

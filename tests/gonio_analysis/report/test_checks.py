@@ -1,13 +1,16 @@
 """The checks of a run in its table, on its page and in summary.json."""
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from gonio_analysis.report import checks
-from gonio_analysis.report.blocks import Table, plain
+from gonio_analysis.report import checks, sample
+from gonio_analysis.report.blocks import Group, Paragraph, Table, plain
+from gonio_analysis.report.comparison import summarise
 from gonio_analysis.report.facts import DatasetSummary
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.compare import examine
@@ -15,6 +18,7 @@ from gonio_analysis.selection.compare import examine
 from gonio import measurement
 from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.lab.acquisition.plan import load_plan
+from gonio.lab.acquisition.run import Run
 from gonio.samples.files import load_sample
 from tests.command_line import gonio, says, some
 from tests.gonio_analysis.synthetic import facts_of
@@ -86,6 +90,36 @@ def test_a_fault_stands_on_the_page_and_in_the_summary(reduced: tuple[pd.DataFra
     assert "bad: " in checks.in_words(facts.checks)
     kept = json.loads(json.dumps(as_json(facts)))["checks"]
     assert {one["name"]: one["verdict"] for one in kept["checks"]}["left and right"] == "bad"
+
+
+def test_a_bad_check_of_the_measurement_stands_in_one_line_below_the_verdict(
+    reduced: tuple[pd.DataFrame, str],
+) -> None:
+    facts = shown(reduced[0])
+    assert facts.checks is not None
+    assert checks.bad(facts.checks, "x") == []
+    worse = [replace(one, verdict="bad") if one.name == "dark level" else one for one in facts.checks.checks]
+    facts.__dict__["checks"] = replace(facts.checks, checks=worse)
+    summary = summarise([facts], title="x", normalise="mirror", command="")
+    first = sample.section(replace(summary, datasets=[facts]), facts, (), None).blocks[0]
+    assert isinstance(first, Group)
+    lead, line = first.blocks[:2]
+    assert isinstance(lead, Paragraph)
+    assert lead.look == "lead"
+    assert isinstance(line, Paragraph)
+    assert plain(line.text).startswith("Bad: dark level (")
+    assert plain(line.text).endswith("; see Checks.")
+
+
+def test_a_run_without_a_usable_value_ends_in_an_error_and_has_no_table(run: Path, tmp_path: Path) -> None:
+    shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("brdf*", "budget*"))
+    for taken in Run.open(tmp_path / "run").steps():
+        for frame in taken.frames if taken.kind == "point" else ():
+            (tmp_path / "run" / "frames" / frame.file).unlink()
+    before = sorted((tmp_path / "run").rglob("*"))
+    done = gonio(tmp_path, "reduce", "run", expect=1)
+    says(done.stderr, "run: none of its", "is usable", "damaged", "no table is written")
+    assert sorted((tmp_path / "run").rglob("*")) == before
 
 
 def test_the_page_has_both_uncertainties_of_a_reflectance_and_a_figure(reduced: tuple[pd.DataFrame, str]) -> None:

@@ -40,6 +40,12 @@ def test_a_run_that_is_too_short_says_what_it_lacks(tmp_path: Path, kept: tuple[
         reduce(run)
 
 
+def test_the_table_has_the_name_that_the_laboratory_states_of_its_sample(tmp_path: Path) -> None:
+    run = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,))
+    run.laboratory = {"sample": {"name": "grey paint"}}
+    assert reduce(run).attrs["sample"] == "grey paint"
+
+
 def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     run = Maker(tmp_path, describe(), glossy).make(POINTS[:2], (0.25,))
     run.description = describe(camera={"width": 128})
