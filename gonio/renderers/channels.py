@@ -147,7 +147,8 @@ def _rows(name: str, wide: DataFrame, values: Floats, notes: Sequence[str]) -> R
     known = np.isfinite(values).all(axis=1)
     index = np.deg2rad(np.array(wide.index.tolist(), dtype=np.float64).reshape(-1, 4))[known]
     values = values[known]
-    dphi = np.abs(np.mod(index[:, 3] - index[:, 1] + np.pi, 2 * np.pi) - np.pi)
+    dphi = geometry.Directions(*index.T).settled_at_normal().dphi
+    dphi = np.minimum(dphi, geometry.TWO_PI - dphi)
     said = list(notes)
     oblique = index[index[:, 0] > geometry.AT_NORMAL, 1]
     if oblique.size:

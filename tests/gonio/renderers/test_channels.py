@@ -43,6 +43,12 @@ def test_the_azimuth_is_that_between_the_planes_whichever_way(phi_i: float, phi_
     np.testing.assert_allclose(np.rad2deg(found), [[30.0, 20.0, dphi_deg]], atol=1e-9)
 
 
+def test_at_normal_incidence_of_an_aligned_rig_azimuths_count_from_the_plane_of_the_detectors() -> None:
+    plane = [at(0.015, 237, theta_r, phi_r) for theta_r in (20, 40) for phi_r in (0, 180)]
+    found = rows(joined(*plane, at(30, 180, 20, 0)), "s").angles
+    np.testing.assert_allclose(np.sort(np.rad2deg(found[:, 2])), [0, 0, 180, 180, 180], atol=1e-9)  # rounding
+
+
 @pytest.mark.parametrize(("phi_i", "said"), [(1.5, False), (181.5, False), (178.5, False), (2.5, True), (90.0, True)])
 def test_planes_of_incidence_are_one_within_two_degrees_and_after_half_a_turn(phi_i: float, said: bool) -> None:
     both = joined(at(30, 0, 20, 180), at(30, phi_i, 20, phi_i + 180.0 if phi_i < 180.0 else phi_i - 180.0))
