@@ -36,7 +36,6 @@ import gonio
 from gonio import geometry
 from gonio.checks.values import CLIPPED, values_of
 from gonio.checks.verdicts import Check, FramesTaken, VisitsOfBand, of_run, of_values
-from gonio.formats.reader import get
 from gonio.geometry import ANGLES_DEG, SAME_AZIMUTH, Directions, half_angle_of_cone
 from gonio.lab.acquisition.resuming import unfinished
 from gonio.lab.acquisition.run import Run
@@ -92,7 +91,7 @@ def assemble(frames: RunFrames, results: list[BandResult]) -> DataFrame:
         polarisation=words[0] if len(words := list(dict.fromkeys(frame["polarisation"]))) == 1 else ", ".join(words),
         **({"polarisers": stated} if (stated := polarised.stated(description)) and words != [UNPOLARISED] else {}),
         source_file=str(run.path),
-        sample=get(run.laboratory, "sample.name") or (run.sample.name if run.sample is not None else None),
+        sample=run.laboratory.get("sample", {}).get("name") or (run.sample.name if run.sample is not None else None),
         provenance={
             "reduced_by": f"gonio {gonio.__version__}",
             "rig": description.name,
