@@ -7,6 +7,7 @@ import math
 import re
 import sys
 import tomllib
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -69,11 +70,11 @@ def measure(tmp_path: Path, out: str, **options: Any) -> Run:
 
 
 @pytest.fixture
-def here(stranger: str, monkeypatch: pytest.MonkeyPatch) -> str:
+def here(stranger: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The same in this process."""
     monkeypatch.syspath_prepend(stranger)
-    monkeypatch.delitem(sys.modules, "stranger", raising=False)
-    return stranger
+    yield stranger
+    sys.modules.pop("stranger", None)
 
 
 @pytest.mark.usefixtures("one_id")

@@ -76,7 +76,7 @@ def u_black(camera: Camera, values: Array) -> float:
     """Standard uncertainty [DN] of dark and of small signals, from noise that is cut off at 0; 0 where none is.
 
     The part of the pixels that read 0, and the mean of all, tell mean and deviation of the normal number that was cut
-    off at half a step (Tobin 1958). The mean of what is left is too high by their difference: so much is missing of a
+    off at half a step [Tobin1958]_. The mean of what is left is too high by their difference: so much is missing of a
     signal well above the noise, and less of smaller ones. A response curve was measured with the same noise, without
     dark current: near black it is wrong by at most what is cut off there of a mean of 0, 0.4 deviations.
 
