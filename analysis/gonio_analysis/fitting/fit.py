@@ -260,7 +260,7 @@ def nearest(
     lower = starts_below(problem, unstated, goal, starts, min(cost for _, cost in found), quick=True)
     found += [refine(problem, unstated, goal, start, quick=True) for start, _ in lower]
     vector = min(found, key=lambda f: f[1])[0]
-    residual, columns, stated = residuals_on_log_scale(problem, data, vector, apparent(problem.model(vector), data))
+    residual, columns, stated, _ = residuals_on_log_scale(problem, data, vector, apparent(problem.model(vector), data))
     if stated is not None and estimated_tau(residual, columns, stated) < float(np.median(stated.random)):
         # over many decades a search by the stated uncertainties may end where nothing is right
         rejected = min(rejected, _weighted_from(rejected, vector, say), key=lambda one: one.goal.total(one.whitened))

@@ -16,7 +16,7 @@ from gonio.models import Corrected
 from gonio.models.corrected import folded
 from gonio.models.examine import assumptions, outside
 from gonio.models.parameters import OPTICAL
-from gonio.typing import Floats
+from gonio.typing import Bools, Floats
 from gonio_analysis.fitting.forward import ByWavelength, apparent, known_wavelength
 from gonio_analysis.fitting.misfit import Misfit
 from gonio_analysis.fitting.objective import Objective, on_log_scale, smallest_of, with_misfit
@@ -366,8 +366,9 @@ class Solution:
 
 def residuals_on_log_scale(
     problem: Problem, data: Observations, vector: Floats, predicted: Floats
-) -> tuple[Floats, Floats, Covariance | None]:
-    """Residuals on the scale of logarithms, their derivatives by parameters inside their bounds, the covariance.
+) -> tuple[Floats, Floats, Covariance | None, Bools]:
+    """What `estimated_tau` takes: residuals on the scale of logarithms, their derivatives by parameters inside their
+    bounds, the covariance, and which values lie above e.
 
     `predicted` (n,) [1/sr] is the model of `vector`, averaged over the cones.
     """
@@ -376,7 +377,7 @@ def residuals_on_log_scale(
     lower, upper = problem.bounds
     inside = np.flatnonzero((vector > lower) & (vector < upper))
     columns = plain.jacobian(near, derivatives(problem, data, vector, here=near, only=inside))
-    return plain.residual(predicted), columns, on_log_scale(data, plain.small, predicted)
+    return plain.residual(predicted), columns, on_log_scale(data, plain.small, predicted), data.brdf > plain.small
 
 
 def estimates(problem: Problem, vector: Floats, spread: Floats, wavelength_nm: float) -> dict[str, Estimate]:

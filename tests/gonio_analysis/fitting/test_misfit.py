@@ -80,6 +80,22 @@ def test_the_misfit_that_was_drawn_is_found() -> None:
     assert np.std(found) == pytest.approx(tau * 0.5 * math.sqrt(2 / n) * (1 + 0.4**2), rel=0.4)
 
 
+def test_dark_values_that_are_known_well_do_not_hide_the_misfit_of_the_bright_ones() -> None:
+    """Their misfit is small beside e, and so is what they are known to: the likelihood of all hangs on them alone."""
+    rng = np.random.default_rng(6)
+    bright = np.arange(400) < 100
+    noise = np.where(bright, 0.01, 1e-6)
+    columns = np.where(bright, 1.0, 1e-4)[:, None]
+    z = noise * rng.normal(size=bright.size) + np.where(bright, 0.05, 0.0) * rng.normal(size=bright.size)
+    stated = Covariance(noise, np.zeros((bright.size, 0)), ())
+    assert estimated_tau(z, columns, stated) < 1e-5
+    # of 100 values tau is known to 7 %: three of these
+    assert estimated_tau(z, columns, stated, bright) == pytest.approx(0.05, rel=0.21)
+    # where one misfit explains all, no value is left out
+    z = np.hypot(noise, 0.05) * rng.normal(size=bright.size)
+    assert estimated_tau(z, columns, stated, bright) == estimated_tau(z, columns, stated)
+
+
 def test_a_true_model_has_no_misfit_and_its_numbers_stay() -> None:
     result = fit(measure(PAINT, noise=0.01, reference=0.01, seed=4), "cook-torrance")
     assert not result.rejected
