@@ -13,6 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -54,6 +55,12 @@ class TimeParts:
         return TimeParts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
+def _acceleration_deg_per_s2(devices: Mapping[str, Any]) -> float:
+    """Of every axis, as the table of the devices that turn them states it; infinite where none does."""
+    stated = (table.get("acceleration_deg_per_s2") for table in devices.values() if isinstance(table, Mapping))
+    return min((float(one) for one in stated if isinstance(one, int | float) and one > 0.0), default=math.inf)
+
+
 class Durations:
     """How long moves and steps take on a rig, by its rig file.
 
@@ -76,7 +83,7 @@ class Durations:
         states = len({band.polarisation for band in self.bands})
         self._turns_s = states * description.polarisers.turn_s if states > 1 else 0.0
         self.speed = np.radians([axis.speed_deg_per_s for axis in axes.values()])
-        self._ramp_s = self.speed / np.radians(description.acceleration_deg_per_s2)
+        self._ramp_s = self.speed / np.radians(_acceleration_deg_per_s2(description.devices))
         """What a way takes longer for starting and stopping, where full speed is reached."""
         self.approach = np.radians([approach[name] for name in axes])
         self.limits = np.radians([limits[name] for name in axes]).T

@@ -77,10 +77,8 @@ def ratio(expected: Sequence[float], taken: Sequence[float], prior: float = PRIO
     be off by more than `OUTLIER` standard deviations.
     """
     wanted, real = np.asarray(expected, dtype=float), np.asarray(taken, dtype=float)
-    wanted, real = (
-        wanted[wanted > 0.0],
-        np.maximum(real[wanted > 0.0], 1e-9),
-    )  # an arm that had not to move tells nothing
+    moved = wanted > 0.0  # an arm that had not to move tells nothing
+    wanted, real = wanted[moved], np.maximum(real[moved], 1e-9)
     if not wanted.size:
         return Ratio(1.0, prior, prior)
     off = np.log(real / wanted)

@@ -87,11 +87,8 @@ def u_black(camera: Camera, values: Array) -> float:
     """
     from scipy.special import ndtri
 
-    half, zero, mean = (
-        0.5 * (camera.response[1] if camera.response else 1.0),
-        float(np.mean(values == 0)),
-        values.mean(),
-    )
+    half = 0.5 * (camera.response[1] if camera.response else 1.0)
+    zero, mean = float(np.mean(values == 0)), float(values.mean())
     if zero == 1.0:  # a camera without noise; of one with a curve, black may be anything that reads 0
         return half if camera.response else 0.0
     if zero <= CLIPPED:

@@ -11,7 +11,6 @@ An effect that is not named in the file is off. Angles are in degrees here (`_de
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -434,13 +433,6 @@ class RigDescription(Strict):
     truth: str | None = None
     """Simulation: a file of rig keys, beside the rig file, that says what is true of the rig and that nobody knows
     who measures there. The simulated devices read it; nothing that plans, measures or reduces does."""
-
-    @property
-    def acceleration_deg_per_s2(self) -> float:
-        """Of every axis, as the table of the devices that turn them states it; infinite where none does."""
-        tables = (table for table in self.devices.values() if isinstance(table, Mapping))
-        stated = (table.get("acceleration_deg_per_s2") for table in tables)
-        return min((float(one) for one in stated if isinstance(one, int | float) and one > 0.0), default=math.inf)
 
     def axes(self) -> dict[str, Axis]:
         """The axes that this rig has, by the name of their field in a `gonio.lab.rig.protocols.Pose`, in the order of
