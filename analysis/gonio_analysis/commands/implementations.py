@@ -127,7 +127,7 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
     if found.alone:
         reasons = ", ".join(f"{why} ({many})" for why, many in Counter(found.alone).most_common())
         console.note(f"{sum(found.alone.values())} were searched for one by one, not by the engine of maps: {reasons}")
-    told = Counter(row.get("notes") or "" for row in found.rows)
+    told = Counter((row.get("notes") or "").replace(Path(row["table"]).stem, "NAME") for row in found.rows)
     for text, many in told.most_common(NOTES):
         if text:
             console.note(f"{many} of {len(found.rows)}: {text}")
