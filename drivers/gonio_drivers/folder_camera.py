@@ -173,7 +173,7 @@ class FolderCamera:
         port = self._camera.trigger.port
         with ports.in_use(port, PORT_KEY):
             self._release.reset_input_buffer()
-            self._release.write(f"EXPOSE {exposure_s:.9g}\n".encode())
+            ports.send(self._release, f"EXPOSE {exposure_s:.9g}\n".encode())
             line = self._release.readline()
             if self._camera.trigger.done and line == b"OK\n":
                 self._await_shutter(self._release, exposure_s)

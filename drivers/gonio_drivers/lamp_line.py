@@ -238,7 +238,7 @@ class LampLine:
         self._lines.clear()
         with ports.in_use(self._name, KEY):
             self._port.reset_input_buffer()
-            self._port.write((command + self._dialect.send_ending).encode())
+            ports.send(self._port, (command + self._dialect.send_ending).encode())
 
     def shout(self, orders: Sequence[bytes]) -> None:
         """Write whole orders at once, from whatever thread; what is answered to them nobody awaits. Never raises."""
@@ -246,7 +246,7 @@ class LampLine:
         if port is not None:
             with contextlib.suppress(*ports.FAILURES, TypeError, ValueError):  # it may be closed meanwhile
                 for order in orders:
-                    port.write(order)
+                    ports.send(port, order)
 
     def reply(self, good: str) -> str:
         """The line that is `good`; where none comes in time, the first one that may be meant as the answer.

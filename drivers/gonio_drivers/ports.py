@@ -7,6 +7,7 @@ A port is what pyserial opens: `COM3`, `/dev/ttyUSB0`, `socket://host:port` (a r
 import contextlib
 import errno
 import os
+import selectors
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,7 +24,7 @@ WORDED = {"FileNotFoundError": errno.ENOENT, "PermissionError": errno.EBUSY}
 DEVICES = ("/dev/", "COM")
 """How the names of this computer's own ports begin."""
 CLOGGED_S = 3.0
-"""A line that takes no byte for this long is dead. pyserial cannot tell it from a computer that was held up as long."""
+"""A line that takes no byte for this long is dead."""
 
 
 def unopened(port: str, error: Exception, key: str) -> DeviceError:
@@ -75,6 +76,25 @@ def opened(port: str, baud: int, timeout_s: float, key: str) -> serial.Serial:
         return serial.serial_for_url(port, baud, timeout=timeout_s, write_timeout=patience, exclusive=True)
     except (*FAILURES, ValueError) as error:
         raise unopened(port, error, key) from None
+
+
+def send(line: serial.SerialBase, data: bytes) -> None:
+    """Write bytes, however long the computer is held up meanwhile; raises `FAILURES` where the line takes no more."""
+    try:
+        line.write(data)
+    except serial.SerialTimeoutException:
+        # pyserial says so, too, of what it has written where this program stood still right after it
+        if not _takes_more(line):
+            raise
+
+
+def _takes_more(port: serial.SerialBase) -> bool:
+    """Whether a port of this computer is not clogged; False of one that is a server's, or no file."""
+    if not hasattr(port, "fd"):
+        return False
+    with selectors.DefaultSelector() as selector:
+        selector.register(port.fd, selectors.EVENT_WRITE)
+        return bool(selector.select(0))
 
 
 def is_url(port: str) -> bool:

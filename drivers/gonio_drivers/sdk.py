@@ -1,9 +1,7 @@
 """Port and packets of the ROBOTIS SDK, mended where they have to be: locking, waiting, clock, byte stuffing."""
 
-import selectors
 from collections.abc import Iterator
 
-import serial
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
 from gonio_drivers import ports
@@ -60,13 +58,8 @@ class ExclusivePort(PortHandler):  # type: ignore[misc]
         return data
 
     def writePort(self, packet: list[int]) -> int:
-        """Send a packet, however long the computer is held up meanwhile; its length."""
-        try:
-            self.ser.write(bytes(packet))
-        except serial.SerialTimeoutException:
-            # pyserial says so, too, of a packet that it has written where this program stood still right after it
-            if not _takes_more(self.ser):
-                raise
+        """Send a packet; its length."""
+        ports.send(self.ser, bytes(packet))
         return len(packet)
 
     def clearPort(self) -> None:
@@ -102,15 +95,6 @@ class Packets(Protocol2PacketHandler):  # type: ignore[misc]
         body = bytes(packet[BEFORE : BEFORE + length - 2]).replace(STUFFED, HEADER)
         out = [*_head(packet, len(body)), *body, *packet[BEFORE + length - 2 : BEFORE + length]]
         return out + [0] * (len(packet) - len(out))
-
-
-def _takes_more(port: serial.SerialBase) -> bool:
-    """Whether a port of this computer is not clogged; False of one that is a server's, or no file."""
-    if not hasattr(port, "fd"):
-        return False
-    with selectors.DefaultSelector() as selector:
-        selector.register(port.fd, selectors.EVENT_WRITE)
-        return bool(selector.select(0))
 
 
 def _head(packet: list[int], size: int) -> list[int]:

@@ -302,7 +302,7 @@ def _name(line: serial.Serial, spoken: Dialect) -> str | None:
             break  # it says nothing: no restart, or no such controller
     for _ in range(2):  # what another dialect left in its buffer may spoil the first
         line.reset_input_buffer()
-        line.write((spoken.identify + spoken.send_ending).encode())
+        ports.send(line, (spoken.identify + spoken.send_ending).encode())
         heard, looked = "", Patience(LISTEN_S)
         while looked() < 2 * LISTEN_S:
             heard += str(line.read(line.in_waiting or 1), "ascii", "replace")
@@ -318,7 +318,7 @@ def is_release(port: str) -> bool:
     with ports.in_use(port, "port"), ports.opened(port, RELEASE_BAUD, LISTEN_S, "port") as line:
         for _ in range(2):
             line.reset_input_buffer()
-            line.write(b"\n?\n")
+            ports.send(line, b"\n?\n")
             if b"ERR" in line.read_until(b"\n") + line.read_until(b"\n"):
                 return True
     return False

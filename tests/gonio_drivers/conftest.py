@@ -9,6 +9,7 @@ import time
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +204,14 @@ def real_time() -> None:
     """The twins of this test are at terminals, on the real clock: for other processes and threads."""
 
 
+def patient_dialect(folder: Path) -> Path:
+    """The lamp's language, for a lamp that may take a minute for its answers: its twin's process may be held up."""
+    text = files("gonio_drivers").joinpath("dialects", "scpi.toml").read_text()
+    path = folder / "patient.toml"
+    path.write_text(f"{text}timeout_s = 60.0\n")
+    return path
+
+
 @pytest.fixture
 def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Twins]:
     """Twins of the small rig; on a clock that nobody waits for, but for `real_time`."""
@@ -213,11 +222,15 @@ def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
     monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
     with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
         if not virtual:
+            served.description.devices["light"]["dialect"] = str(patient_dialect(tmp_path))
             be_patient(served.peers["servos"], served.faults, monkeypatch)
         yield served
 
 
-PATIENT = f"from gonio_drivers import motion, sdk; motion.GRACE_S, sdk.PATIENCE_MS = {LONGEST_S}, {1e3 * HANGS_S}; "
+PATIENT = (
+    "from gonio_drivers import folder_camera, motion, sdk; "
+    f"folder_camera.RELEASE_S = motion.GRACE_S = {LONGEST_S}; sdk.PATIENCE_MS = {1e3 * HANGS_S}; "
+)
 COMMAND = [sys.executable, "-c", PATIENT + "from gonio.cli import main; main()"]
 """The command as a process of its own, which waits for the twins in this one: as of `be_patient`."""
 

@@ -36,6 +36,7 @@ from tests.gonio_drivers.conftest import (
     written,
 )  # fmt: skip
 from tests.gonio_drivers.test_servo_settings import put
+from tests.gonio_drivers.test_ways_out import when_it_sets_out
 
 pytestmark = pytest.mark.slow
 
@@ -212,12 +213,18 @@ def test_ctrl_c_stops_every_axis_and_says_where_it_stands(
     tmp_path: Path, words: list[str], moving: list[str], short_of: dict[str, float]
 ) -> None:
     with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=1.0) as twins:
+        under_way: set[str] = set()
+        for name in moving:
+            when_it_sets_out(twins.servos[name], lambda name=name: pressed(name), slow=False)  # type: ignore[misc]
+
+        def pressed(name: str) -> None:
+            """In the twin's own thread: from there on the servos' watchdogs stop what nobody looks after."""
+            under_way.add(name)
+            if len(under_way) == len(moving):
+                child.send_signal(signal.SIGINT)
+
         command = [*COMMAND, "rig", *words, "--rig", str(written(twins, tmp_path))]
         with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
-            while not all(twins.servos[name].moves() for name in moving):
-                assert child.poll() is None
-                time.sleep(0.005)
-            child.send_signal(signal.SIGINT)
             _, said = child.communicate()
         assert child.returncode == 130, said
         assert not any(servo.moves() for servo in twins.servos.values())

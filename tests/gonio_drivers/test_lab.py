@@ -11,7 +11,6 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,9 @@ from gonio_drivers.arms import ServoArms
 from gonio_drivers.lab import LAB, THREE_SERVOS
 from gonio_sim.wire import faults, motion, tether
 from gonio_sim.wire.servo import Servo
-from gonio_sim.wire.twins import Twins, rig_file
+from gonio_sim.wire.twins import Twins
 
-from gonio.config import parse, to_toml
+from gonio.config import parse
 from gonio.errors import ConfigError, DeviceError, Interrupted
 from gonio.lab.acquisition.measure import RigChoice, carry_out, find_rig
 from gonio.lab.acquisition.progress import Silent
@@ -35,7 +34,7 @@ from gonio.lab.rig import Pose
 from gonio.lab.rig.description import RigDescription
 from tests.command_line import gonio, says
 from tests.gonio.numpy_rig import plan_in
-from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, SAMPLE, SCALE, opened, small
+from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, SAMPLE, SCALE, opened, small, written
 
 pytestmark = pytest.mark.slow
 
@@ -219,22 +218,11 @@ def test_nobody_is_told_that_arms_are_parked_that_are_not(twins: Twins, tmp_path
     assert twins.quiet
 
 
-def patient_dialect(folder: Path) -> Path:
-    """The lamp's language, for a lamp that may take a minute for its answers: its twin's process may be held up."""
-    text = files("gonio_drivers").joinpath("dialects", "scpi.toml").read_text()
-    path = folder / "patient.toml"
-    path.write_text(f"{text}timeout_s = 60.0\n")
-    return path
-
-
 @pytest.mark.usefixtures("real_time")
 @pytest.mark.parametrize("presses", [2, 5])
 def test_rapid_ctrl_c_ends_with_130_and_one_message(twins: Twins, tmp_path: Path, presses: int) -> None:
     (tmp_path / "plan.toml").write_text(PLAN)
-    rig = tomllib.loads(rig_file(twins.description))
-    rig["devices"]["light"]["dialect"] = str(patient_dialect(tmp_path))
-    (tmp_path / "rig.toml").write_text(to_toml(rig))
-    command = [*COMMAND, "measure", str(tmp_path / "plan.toml"), "--rig", str(tmp_path / "rig.toml")]
+    command = [*COMMAND, "measure", str(tmp_path / "plan.toml"), "--rig", str(written(twins, tmp_path))]
     command += ["--out", str(tmp_path / "run")]
     under_way = threading.Event()
     for servo in twins.servos.values():

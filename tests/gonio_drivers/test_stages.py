@@ -20,7 +20,7 @@ from gonio.errors import ConfigError, DeviceError, Disturbed
 from gonio.lab.rig import Pose
 from gonio.measurement import read
 from tests.command_line import gonio as run
-from tests.gonio_drivers.conftest import SAMPLE, SCALE, angle, by_hand, written
+from tests.gonio_drivers.conftest import LONGEST_S, SAMPLE, SCALE, angle, by_hand, written
 from tests.gonio_drivers.staged import AXES, PORT, STEP_DEG, on_stages
 
 pytest.importorskip("pylablib", reason="pylablib is not installed (the extra thorlabs)")
@@ -181,7 +181,7 @@ def test_a_fault_of_the_controller_stops_all_axes(twins: Twins, bit: int) -> Non
             DeviceError, match=r"axis spin: Thorlabs K10CR1 55000004 on .* reports: (its motor does|too hot)"
         ):
             arms.move(pose(light=-20, camera=45, spin=90))
-        end = time.monotonic() + 2.0  # the twins' threads take the stop when the computer lets them
+        end = time.monotonic() + LONGEST_S  # the twins' threads take the stop when the computer lets them
         while any(twin.moves() for twin in twins.stages.values()) and time.monotonic() < end:
             time.sleep(0.01)
         assert not any(twin.moves() for twin in twins.stages.values())

@@ -46,10 +46,11 @@ def assert_true(said: str, twins: Twins) -> None:
     assert ("lamp dark" in said) <= (not twins.lamp.shine.lit), said
 
 
-def when_it_sets_out(servo: Servo, act: Callable[[], None], counts: float = 50.0) -> None:
-    """Act once, when a servo makes for a goal that is some way off; it is slow from then on."""
+def when_it_sets_out(servo: Servo, act: Callable[[], None], counts: float = 50.0, *, slow: bool = True) -> None:
+    """Act once, when a servo makes for a goal that is some way off, which takes it minutes where it is `slow`."""
     follow = servo.leaving
-    crawl(servo)
+    if slow:
+        crawl(servo)
 
     def leaving() -> None:
         follow()

@@ -114,10 +114,10 @@ def field(name: bytes, shape: tuple[int, ...], kind: int = 10, dimensions: int |
     ],
 )
 def test_counts_of_a_tensor_file_are_looked_at_first(data: bytes, said: str) -> None:
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(DataError, match=rf"t\.bsdf, byte .*{said}"):
         rgl.tensors(data, Path("t.bsdf"))
-    assert time.perf_counter() - began < SOON_S
+    assert time.process_time() - began < SOON_S
 
 
 @pytest.mark.parametrize(
