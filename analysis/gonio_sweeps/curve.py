@@ -210,16 +210,6 @@ class CurveSettings(Strict):
         return value
 
 
-@dataclass(frozen=True)
-class Decided:
-    """Which candidates are measured next; none where it is enough."""
-
-    picked: list[int]
-    why: JsonObject
-    message: str
-    met: bool = False
-
-
 class CurveSampler(BudgetSampler[CurveSettings]):
     """Chooses points that tell the curves of a plan.
 
@@ -288,9 +278,7 @@ class CurveSampler(BudgetSampler[CurveSettings]):
         """See `gonio.lab.acquisition.sampling.Sampler`."""
         values = [online.values(run) for online in self._online]
         before = run.batches[-1].why if run.batches else None
-        decided = self.decided(values, expected.spent_s(self.durations, run), before)
-        points = tuple(self.candidates.points[k] for k in decided.picked)
-        return Choice(points, decided.why, decided.message, decided.met)
+        return self.decided(values, expected.spent_s(self.durations, run), before)
 
     def known(self, values: GrowingValues, before: JsonObject | None = None, band: int = 0) -> Posterior:
         """What the values of one band tell; `before` is why the choice before was made, `band` its number there."""
@@ -308,7 +296,7 @@ class CurveSampler(BudgetSampler[CurveSettings]):
             self._cones,
         )
 
-    def decided(self, values: Sequence[GrowingValues], spent_s: float, before: JsonObject | None = None) -> Decided:
+    def decided(self, values: Sequence[GrowingValues], spent_s: float, before: JsonObject | None = None) -> Choice:
         """The next batch; it follows from the arguments alone.
 
         Parameters
@@ -324,7 +312,7 @@ class CurveSampler(BudgetSampler[CurveSettings]):
         left_s, n = self._budget_s - spent_s, max((len(v) for v in values), default=0)
         why: JsonObject = {"spent_s": round(spent_s, 1), "values": n}
         if not usable:
-            return Decided([], why, f"enough: only {n} points could be used; a curve needs {FEWEST}")
+            return Choice((), why, f"enough: only {n} points could be used; a curve needs {FEWEST}")
         same = before is not None and len(before.get("kernel", ())) == len(usable)
         known = [self.known(v, before if same else None, k) for k, v in enumerate(usable)]
         count, most = min(max(round(GROWTH * n), SMALLEST), LARGEST), self._settings.most_points
@@ -346,17 +334,18 @@ class CurveSampler(BudgetSampler[CurveSettings]):
             why["form"] = [p.form for p in known]
         said = f"curve known to {100 * worst:.2g} % at worst (theta_i = {where.theta_i_deg:g}, {_place(where)})"
         if self._settings.u_rel is not None and worst <= self._settings.u_rel:
-            return Decided([], why, f"enough: {said}", met=True)
+            return Choice((), why, f"enough: {said}", met=True)
         if count <= 0:
-            return Decided([], why, f"enough: {said}; all {n} points are taken")
+            return Choice((), why, f"enough: {said}; all {n} points are taken")
         while picked and self._batch_s(picked, seconds) > left_s:
             picked = picked[:-1]
         if not picked:
-            return Decided([], why, f"enough: the budget is spent; {said}")
+            return Choice((), why, f"enough: the budget is spent; {said}")
         ordered = self._ordered(picked)
         why |= {"cover": sum(k in covers for k in ordered), "batch_s": round(self._batch_s(ordered, seconds), 1)}
         minutes = f"{spent_s / 60:.3g} of {self._budget_s / 60:.3g} min"
-        return Decided(ordered, why, f"{said}; {len(ordered)} points next; {minutes}")
+        points = tuple(self.candidates.points[k] for k in ordered)
+        return Choice(points, why, f"{said}; {len(ordered)} points next; {minutes}")
 
 
 def _with_mirror(plan: Plan, description: RigDescription, given: JsonObject) -> Candidates:

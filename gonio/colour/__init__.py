@@ -28,11 +28,9 @@ from gonio.colour.display import (
 )
 from gonio.colour.dominant import dominant_wavelength
 from gonio.colour.reflection import (
-    ShiftError,
     index_from_f0,
     reflectance,
     reflected_xyz,
-    shift_error,
     shifted_xyz,
 )
 
@@ -42,7 +40,6 @@ __all__ = [
     "NTSC_1953",
     "SRGB",
     "Primaries",
-    "ShiftError",
     "adaptation",
     "channel_weights",
     "chromaticity",
@@ -59,7 +56,6 @@ __all__ = [
     "observer",
     "reflectance",
     "reflected_xyz",
-    "shift_error",
     "shifted_xyz",
     "spectrum_locus",
     "wavelengths",

@@ -1,12 +1,10 @@
 """The colour of a mirror reflection over the angle: Cook and Torrance's full procedure and their short one."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from gonio.colour.cie import weights, white
-from gonio.colour.display import SRGB
 from gonio.models import fresnel
 from gonio.models.parameters import indices_at
 from gonio.typing import ArrayLike, Floats
@@ -74,38 +72,3 @@ def shifted_xyz(theta: ArrayLike, wavelength_nm: ArrayLike, ior: Index, illumina
     first = normal @ weights(wavelength_nm, illuminant)
     cosine = np.cos(np.asarray(theta, dtype=np.float64))
     return np.asarray(fresnel.colour_shift(cosine, float(normal.mean()), first, white(illuminant)))
-
-
-@dataclass(frozen=True)
-class ShiftError:
-    """How far the short procedure's linear RGB lies from the full one's, in units of white."""
-
-    largest: float
-    """The largest difference of a channel."""
-    theta: float
-    """The angle where that is [rad]."""
-    rms: float
-    """The root of the mean square over angles and channels."""
-
-
-def shift_error(
-    wavelength_nm: ArrayLike,
-    ior: Index,
-    *,
-    theta: ArrayLike | None = None,
-) -> ShiftError:
-    """The error of the short procedure (`shifted_xyz`) against the full one (`reflected_xyz`).
-
-    Parameters
-    ----------
-    wavelength_nm, ior
-        As `reflected_xyz`.
-    theta
-        The angles [rad] that are looked at; None: 0 to 90 degrees in steps of a quarter of a degree.
-    """
-    angles = np.radians(np.arange(0.0, 90.1, 0.25)) if theta is None else np.asarray(theta, dtype=np.float64).ravel()
-    full = SRGB.rgb(reflected_xyz(angles, wavelength_nm, ior))
-    off = SRGB.rgb(shifted_xyz(angles, wavelength_nm, ior)) - full
-    worst = np.abs(off).max(axis=-1)
-    at = int(np.argmax(worst))
-    return ShiftError(float(worst[at]), float(angles[at]), float(np.sqrt(np.mean(off**2))))

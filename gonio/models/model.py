@@ -474,7 +474,6 @@ class Model(ABC):
         wavelength_nm: ArrayLike = 550.0,
         spike: bool = True,
         tolerance: float = hemispherical.TOLERANCE,
-        out: Any = None,
     ) -> Any:
         """rho_hd, the radiance under light that is the same from everywhere: spike + integral of brdf cos(theta_i).
 
@@ -484,7 +483,7 @@ class Model(ABC):
         value = hemispherical.reflectance(
             self, theta_r, phi_r, wavelength_nm, viewer=True, spike=spike, tolerance=tolerance
         )
-        return engine.delivered(out, value)
+        return engine.delivered(None, value)
 
     def _hemispherical(
         self, theta: Floats, phi: Floats, wavelength_nm: float, viewer: bool, tolerance: float

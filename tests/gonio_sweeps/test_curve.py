@@ -286,7 +286,7 @@ def test_a_form_that_many_values_told_is_kept_until_a_quarter_more_are_there(mon
 def test_points_go_where_the_curve_is_known_least(tmp_path: Path) -> None:
     curve = sampler(tmp_path)
     away = [k for k, p in enumerate(curve.candidates.points) if not (p.phi_r_deg and 15 < p.theta_r_deg < 45)]
-    near = [curve.candidates.points[k] for k in curve.decided([measured(curve.candidates, away)], 0.0).picked]
+    near = curve.decided([measured(curve.candidates, away)], 0.0).points
     # of six points one covers, and two bisect steep gaps
     assert sum(p.phi_r_deg == 180.0 and 15 <= p.theta_r_deg <= 45 for p in near) >= len(near) / 2
 
@@ -313,7 +313,7 @@ def test_one_state_gives_one_choice_and_the_target_ends_it(tmp_path: Path) -> No
         decided = curve.decided([values], 0.0, why)
         again = sampler(tmp_path, PLAN + "u_rel = 0.01\n").decided([values], 0.0, why)
         assert decided == again
-        why, rows = decided.why, decided.picked
+        why, rows = decided.why, [curve.candidates.points.index(p) for p in decided.points]
         if not rows:
             break
     assert decided.met
@@ -326,10 +326,11 @@ def test_the_budget_and_the_number_of_points_are_kept(tmp_path: Path) -> None:
     rows = [curve.candidates.points.index(p) for p in curve.first(())]
     values = measured(curve.candidates, rows)
     more = curve.decided([values], 0.0)
-    assert len(rows) + len(more.picked) == 14
-    assert not curve.decided([measured(curve.candidates, more.picked, values)], 0.0).picked
+    assert len(rows) + len(more.points) == 14
+    rows = [curve.candidates.points.index(p) for p in more.points]
+    assert not curve.decided([measured(curve.candidates, rows, values)], 0.0).points
     spent = curve.decided([values], 3600.0)
-    assert not spent.picked
+    assert not spent.points
     assert not spent.met
     assert "the budget is spent" in spent.message
 

@@ -196,3 +196,15 @@ def test_mitsuba_agrees_on_materials_from_files(kind: str, tmp_path: Path) -> No
     what = {"material": material, "shape": [FLOOR, BALL], "light": [scenes.SUN], "wavelength_nm": waves}
     made = scene(tmp_path, camera=CAMERA, **what)
     assert np.abs(apart(made, mitsuba.export(made), tmp_path)).max() < 3.0
+
+
+@pytest.mark.parametrize(
+    ("material", "largest", "rms"), [("Cu", 0.43, 0.072), ("Au", 0.59, 0.092), ("Al", 0.080, 0.023)]
+)
+def test_errors_that_the_docs_state(material: str, largest: float, rms: float) -> None:
+    """docs/colour.md has these, to two digits."""
+    assert scenes.shift_error(np.arange(380.0, 781.0, 5.0), material) == pytest.approx((rms, largest), rel=0.02)
+
+
+def test_the_short_procedure_is_exact_for_a_grey_dielectric() -> None:
+    assert max(scenes.shift_error(np.linspace(400.0, 700.0, 31), 1.5)) < 1e-12  # rounding

@@ -168,13 +168,13 @@ def _adaptive(
     measured: MeasuredSweep | None = None
     why: JsonObject | None = None
     wanted = list(sampler.first(()))
-    rows = [sampler.candidates.points.index(point) for point in wanted]
-    while rows:
-        measured = rig.measure([sampler.candidates.poses[k] for k in rows], measured)
+    poses = dict(zip(sampler.candidates.points, sampler.candidates.poses, strict=True))
+    while wanted:
+        measured = rig.measure([poses[point] for point in wanted], measured)
         decided = sampler.decided([measured.values], measured.seconds, why)
         posterior, why = sampler.known(measured.values, why), decided.why
         out.append(_by_process(plan, measured, posterior, places, truth))
-        rows = decided.picked if len(measured.values) < stop else []
+        wanted = list(decided.points) if len(measured.values) < stop else []
     return out
 
 

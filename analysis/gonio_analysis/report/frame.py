@@ -70,7 +70,6 @@ def page(
     shown: Sequence[Block] = (),
     folds: Iterable[Block] = (),
     foot: Block,
-    also: Sequence[Block] = (),
     called: str = "",
 ) -> Page:
     """A page.
@@ -85,12 +84,10 @@ def page(
         What follows: open, and folded by its headings (`folded`).
     foot
         Its last line.
-    also
-        Belongs to the head: links.
     called
         The title of the browser's tab, where it is not that of the page.
     """
-    return Page(called or title, (header(title, sub, *also), first, *shown, *folded(folds), foot))
+    return Page(called or title, (header(title, sub), first, *shown, *folded(folds), foot))
 
 
 def provenance(made: Mapping[str, Any], *first: tuple[str, str], called: str = "report made") -> list[Block]:
