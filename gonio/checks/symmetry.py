@@ -97,11 +97,12 @@ def symmetries(data: CheckedValues) -> list[Pairs]:
     """What could be compared: nothing is listed that has fewer than three pairs."""
     data = data if len(data) <= MOST_VALUES else data.take(np.arange(0, len(data), -(-len(data) // MOST_VALUES)))
     at = data.directions
-    azimuths = _azimuths(at)
-    spun = len({round(a, 3) for a in azimuths.tolist()}) > 1
-    out = []
-    swapped = Directions(at.theta_r, at.phi_r, at.theta_i, at.phi_i)
     flat = at.theta_i < NEAR  # a source at the normal has no azimuth
+    at = at.seen_from(np.where(flat, at.settled_at_normal().phi_i, at.phi_i))
+    azimuths = _azimuths(at)
+    spun = len({round(a, 3) for a in azimuths[~flat].tolist()}) > 1
+    out = []
+    swapped = at.swapped
     found = _pairs(_fixed(at), _fixed(swapped)) if spun else _pairs(_turned(at), _turned(swapped))
     found = found[np.abs(at.theta_i - at.theta_r)[found[:, 0]] > NEAR] if found.size else found
     out.append(_compared(data, found, "reciprocity", "source and detector exchanged"))

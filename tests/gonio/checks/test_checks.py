@@ -92,6 +92,19 @@ def test_differences_around_a_ring_of_azimuths_are_correlated() -> None:
     assert np.mean(found) == pytest.approx(ring.pairs, rel=0.02)  # known to 0.5 %
 
 
+def test_an_azimuth_measured_at_the_normal_turns_no_plane() -> None:
+    """An aligned source stands 0.015 degrees beside the normal, at any azimuth."""
+    found = []
+    for theta, phi in ((0.0, 0.0), (0.015, 237.0)):
+        at = grid((0.0, 20.0, 40.0, 60.0))
+        normal = at.theta_i == 0.0
+        theta_i = np.where(normal, math.radians(theta), at.theta_i)
+        at = Directions(theta_i, np.where(normal, math.radians(phi), at.phi_i), at.theta_r, at.phi_r)
+        found.append([(pairs.kind, pairs.pairs) for pairs in symmetries(CheckedValues(at, matte(at)))])
+    assert found[0] == found[1]
+    assert [kind for kind, _ in found[0]] == ["reciprocity", "left and right"]
+
+
 @pytest.mark.parametrize(("typical", "verdict"), [(0.03, "ok"), (0.07, "look"), (0.15, "bad")])
 def test_without_uncertainties_limits_are_fixed(typical: float, verdict: str) -> None:
     at = grid()
