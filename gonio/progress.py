@@ -13,6 +13,25 @@ def silent(text: str) -> None:
     """For those whom nobody listens to."""
 
 
+class Stage:
+    """Told of one stage of longer work: the time that its `Pace` says is left counts what comes after it.
+
+    Parameters
+    ----------
+    say
+        Who is told.
+    after_s
+        Seconds that the later stages may take.
+    """
+
+    def __init__(self, say: Say, after_s: float) -> None:
+        self._say, self.after_s = say, after_s
+
+    def __call__(self, text: str) -> None:
+        """Pass a line on."""
+        self._say(text)
+
+
 class Pace:
     """Tells how many of about equal steps are done.
 
@@ -23,13 +42,14 @@ class Pace:
     total
         How many steps there are.
     say
-        Called with a line, at most every `QUIET_S`.
+        Called with a line, at most every `QUIET_S`; a `Stage` says what comes after the steps.
     at_most
         There may be fewer steps than `total`.
     """
 
     def __init__(self, what: str, total: int, say: Say, *, at_most: bool = False) -> None:
         self._what, self._total, self._say, self._at_most = what, total, say, at_most
+        self._after_s = say.after_s if isinstance(say, Stage) else 0.0
         self._told = time.monotonic()
         self._first: tuple[float, int] | None = None
 
@@ -45,7 +65,7 @@ class Pace:
         if done <= before:  # it began anew
             return
         self._told = now
-        left = duration((now - began) / (done - before) * (self._total - done))
+        left = duration((now - began) / (done - before) * (self._total - done) + self._after_s)
         most = "at most " if self._at_most else ""
         self._say(f"{self._what}: {done} of {most}{self._total}, {most or 'about '}{left} left")
 

@@ -9,7 +9,7 @@ from gonio_analysis.fitting.observations import observations
 from gonio_analysis.selection.compare import examine
 
 from gonio.models import build
-from gonio.progress import Pace
+from gonio.progress import Pace, Stage
 from tests.gonio_analysis.synthetic import joined, measure
 
 
@@ -32,6 +32,14 @@ def table(albedo: float = 0.6, seed: int = 0) -> pd.DataFrame:
         for w in (450.0, 550.0, 650.0)
     ]
     return joined(*parts)
+
+
+def test_a_stage_counts_what_comes_after_it(clock: list[float]) -> None:
+    said: list[str] = []
+    steps = Pace("curves", 4, Stage(said.append, 20.0))
+    for k in range(4):
+        steps.step(k)
+    assert said == ["curves: 2 of 4, about 26 s left", "curves: 3 of 4, about 23 s left"]  # 3 s a step, and 20
 
 
 def test_steps_are_told_with_the_time_that_is_left(clock: list[float]) -> None:

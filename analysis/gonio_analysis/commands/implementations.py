@@ -6,6 +6,7 @@ What draws pages, or compares, is imported by the command that does.
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -127,7 +128,7 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
     if found.alone:
         reasons = ", ".join(f"{why} ({many})" for why, many in Counter(found.alone).most_common())
         console.note(f"{sum(found.alone.values())} were searched for one by one, not by the engine of maps: {reasons}")
-    told = Counter((row.get("notes") or "").replace(Path(row["table"]).stem, "NAME") for row in found.rows)
+    told = Counter(_of_any_table(row.get("notes") or "", Path(row["table"])) for row in found.rows)
     for text, many in told.most_common(NOTES):
         if text:
             console.note(f"{many} of {len(found.rows)}: {text}")
@@ -140,6 +141,11 @@ def fit_each(where: list[str], out: Path | None, asked: FitRequest, how: Reading
         f" {len(failed)} could not be fitted{first}"
     )
     print(out)
+
+
+def _of_any_table(text: str, table: Path) -> str:
+    """A note with NAME in the names of the files that stand beside a table."""
+    return re.sub(rf"\b{re.escape(table.stem)}\.(?=\w)", "NAME.", text)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from itertools import groupby
 from gonio.checks.values import SIGNIFICANCE
 from gonio.errors import ConfigError, DataError
 from gonio.models.parameters import Ior, Values
-from gonio.progress import Say, silent
+from gonio.progress import Say, Stage, silent
 from gonio.typing import Floats
 from gonio_analysis.fitting import parameters
 from gonio_analysis.fitting.fit import FitResult, fit
@@ -41,7 +41,7 @@ from gonio_analysis.selection.judging import (
     nearness,
 )
 from gonio_analysis.selection.parallel import Share, here
-from gonio_analysis.selection.time_left import Begun
+from gonio_analysis.selection.time_left import CURVES, FIGURES, Begun, after
 
 COUNTED = 1.01
 """Factor on a misfit that counts the parameters: of 100 values one parameter more adds 0.5 %."""
@@ -246,6 +246,7 @@ def choose(
         See `gonio_analysis.fitting.fit.fit`; in a broad band candidates that need a wavelength are left out instead.
     """
     requests = {c: replace(c.request(ior, metric, energy), wavelength_nm=wavelength_nm) for c in tried}
+    began = time.perf_counter()
     fits, walls, left_out = _fitted(data, requests, name, all_of_them, progress, share)
     if not fits:
         words = _none_fitted(left_out, name)
@@ -254,7 +255,8 @@ def choose(
         return ModelChoice([], None, {}, f"{words}.", "", left_out)
     folds, by = blocks(next(iter(fits.values())).data)
     told = f"{name}: predicting values left out, models"
-    tested = share([partial(_tested, r, folds) for r in fits.values()], told, progress)
+    later = Stage(progress, (CURVES + FIGURES) * after(time.perf_counter() - began, len(tried)))
+    tested = share([partial(_tested, r, folds) for r in fits.values()], told, later)
     judged = _reject([_judged(c, r, t, walls[c]) for (c, r), t in zip(fits.items(), tested, strict=True)])
     named, intervals, lower = _walked(judged, share)
     if lower:  # valleys met while walking: begin again from there

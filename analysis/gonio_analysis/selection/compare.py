@@ -4,6 +4,7 @@ Everything that a report shows is computed here; `gonio_analysis.report` only dr
 """
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ from gonio.errors import ConfigError, DataError
 from gonio.lost import kept
 from gonio.measurement import is_simulated
 from gonio.models.parameters import Ior
-from gonio.progress import Pace, Say
+from gonio.progress import Pace, Say, Stage
 from gonio.run_facts import RunFacts
 from gonio.shown import finite
 from gonio.typing import DataFrame, Floats
@@ -37,6 +38,7 @@ from gonio_analysis.selection.judging import DECISIVE, Judged, deviance
 from gonio_analysis.selection.parallel import Share
 from gonio_analysis.selection.polarised import PolarisationRatios, ratios
 from gonio_analysis.selection.regions import WorstRegion, farthest
+from gonio_analysis.selection.time_left import FIGURES, after
 
 MOST_ANGLES = 1000
 """Measured angles of one curve at which theory is evaluated too."""
@@ -302,6 +304,7 @@ def examine(
     data = observations(table, name, u_rel, polarised=True)
     data = thinned(data) if data.of_channels else data
     every, share = "all" in models, share if len(data) <= MOST_SENT else parallel.here
+    began = time.perf_counter()
     choice = choose(
         data, candidates(models, ior), ior=ior, wavelength_nm=wavelength_nm, metric=metric, energy=bound_energy,
         name=name, all_of_them=not every, progress=progress, share=share,
@@ -310,7 +313,8 @@ def examine(
     found = curves(at)
     drawn = [j for j in choice.judged if not every or choice.shows(j)]
     jobs = [partial(_drawn_model, j, data, name, separate, selection(found), normalise) for j in drawn]
-    done = share(jobs, f"{name}: curves of models", progress)
+    stage = Stage(progress, FIGURES * after(time.perf_counter() - began, len(choice.judged)))
+    done = share(jobs, f"{name}: curves of models", stage)
     fitted = {j.candidate.label: one for j, one in zip(drawn, done, strict=True)}
     skipped = {} if every else choice.left_out
     at = at if data.light is None else _described(table, name, u_rel, data).nearest(wavelength)[0]

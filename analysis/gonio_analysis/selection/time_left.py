@@ -9,6 +9,16 @@ from gonio.progress import QUIET_S, Say, duration
 from gonio_analysis.fitting import parameters
 from gonio_analysis.selection.judging import Candidate
 
+AFTER, AFTER_EACH_S = 0.25, 0.25
+"""What comes after the fits: a part of their time, and seconds for each model, whatever the number of values."""
+CURVES, FIGURES = 0.35, 0.5
+"""Parts of that: curves and reflectances of models, and figures; predictions of values left out are the rest."""
+
+
+def after(fits_s: float, models: int) -> float:
+    """Seconds that may pass from the last fit until a comparison's page is there."""
+    return AFTER * fits_s + AFTER_EACH_S * models
+
 
 def foretold(
     taken: Mapping[Candidate, float], left: Iterable[Candidate], sizes: Mapping[Candidate, int]
@@ -94,9 +104,10 @@ class Begun:
             self._progress(f"{self._name}: fitting {label}{many}")
 
     def left(self, now: float) -> float:
-        """Seconds from `now` on, by as many fits at a time as there were, and no less than the longest takes."""
+        """Seconds from `now` on until figures are drawn, by as many fits at a time as there were."""
         running = {self._left[label]: now - began for label, began in self._running.items()}
         rest = foretold(self._taken, self._left.values(), self._sizes)
         rest = {c: max(seconds - running.get(c, 0.0), 0.0) for c, seconds in rest.items()}
         at_a_time = (sum(self._taken.values()) + sum(running.values())) / (now - self._began)
-        return max(sum(rest.values()) / at_a_time, *rest.values())
+        fits = max(sum(rest.values()) / at_a_time, *rest.values())
+        return fits + after(now - self._began + fits, self._many)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gonio_analysis.commands.implementations import _of_any_table
 from gonio_analysis.fitting.problem import FitRequest, pose
 from gonio_analysis.selection import many_tables
 
@@ -86,6 +87,12 @@ def test_what_cannot_be_read_or_fitted_is_a_row(tmp_path: Path) -> None:
     assert "at least 3 are needed" in found["tables/few.csv"]
 
 
+def test_a_note_is_told_once_of_tables_that_differ_by_their_names() -> None:
+    notes = [f"There is no {name}.meta.json beside the table. The file has no u." for name in ("f", "t0", "no")]
+    told = {_of_any_table(note, Path(f"of/{name}.csv")) for note, name in zip(notes, ("f", "t0", "no"), strict=True)}
+    assert told == {"There is no NAME.meta.json beside the table. The file has no u."}
+
+
 def test_rows_that_are_done_are_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, out = tables(tmp_path / "tables"), tmp_path / "fits.csv"
     assert made(folder, out).before == 0
@@ -113,6 +120,7 @@ import os, signal, sys
 from pathlib import Path
 from gonio.measurement import Reading
 from gonio_analysis.fitting.problem import FitRequest, pose
+from gonio_analysis.commands.implementations import _of_any_table
 from gonio_analysis.selection import many_tables
 def dies(done, total):
     if done == 2:
