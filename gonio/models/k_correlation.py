@@ -148,15 +148,6 @@ class KCorrelation(Model):
         constants = (level, (self.b_um / um) ** 2, slope, epsilon + 1.0, 2.0 * loss, PARALLEL**2)
         return first_order, constants
 
-    def polarised(self, omega_i: Floats, omega_r: Floats, wavelength_nm: float) -> Floats:
-        """BRDF [1/sr] of ss, sp, ps and pp (4, n): the first letter is that of the source."""
-        um = 1e-3 * wavelength_nm
-        f2 = np.sum((omega_i[:, :2] + omega_r[:, :2]) ** 2, axis=1) / um**2
-        spectrum = self.sigma_um**2 * (self.c - 1.0) * self.b_um**2 / (2.0 * math.pi)
-        spectrum = spectrum * (1.0 + self.b_um**2 * f2) ** (-0.5 * (self.c + 1.0))
-        amplitudes = np.abs(self._amplitudes(omega_i, omega_r, wavelength_nm)) ** 2
-        return np.asarray(16.0 * math.pi**2 / um**4 * omega_i[:, 2] * omega_r[:, 2] * spectrum * amplitudes)
-
     def jones_at(self, at: Directions, wavelength_nm: float) -> NDArray[np.complex128]:
         """Signs of mixed elements are those of facets, which the first order is near the mirror direction."""
         theta_i, theta_r = (np.maximum(theta, PARALLEL) for theta in (at.theta_i, at.theta_r))  # azimuths count

@@ -100,7 +100,7 @@ def genicam_event(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Eye
 def genicam(folder: Path, monkeypatch: pytest.MonkeyPatch, *, tells: bool = False) -> Iterator[Eye]:
     """The twin of a GenICam camera behind harvesters: a frame from before waits whenever the lamp is switched."""
     core = pytest.importorskip("harvesters.core", reason="harvesters is not installed (the extra genicam)")
-    from gonio_sim.wire.genicam import FORMATS, GenICamTwin, described
+    from tests.gonio_drivers.genicam_twin import FORMATS, GenICamTwin, described
 
     lit = False
     seen, later = described(tuple(FORMATS), tells=tells), ticking(monkeypatch)

@@ -11,12 +11,12 @@ import numpy.typing as npt
 import pytest
 from gonio_drivers.cameras import build
 from gonio_drivers.genicam import unpack
-from gonio_sim.wire.genicam import FORMATS, GenICamTwin, described, packed
 
 from gonio.errors import ConfigError, DeviceError
 from gonio.lab.rig import Frame, clock
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.light_and_camera import Band, Bands, Camera
+from tests.gonio_drivers.genicam_twin import FORMATS, GenICamTwin, described, packed
 from tests.gonio_drivers.ticking import ticking
 
 genapi = pytest.importorskip("genicam.genapi", reason="genicam is not installed (the extra genicam)")

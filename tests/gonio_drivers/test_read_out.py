@@ -14,13 +14,13 @@ import pytest
 from gonio_drivers import cameras, folder_camera
 from gonio_drivers.cameras import OpenableCamera
 from gonio_drivers.lab import GuardedCamera, TellingCamera
-from gonio_sim.wire.genicam import GenICamTwin, described
 from gonio_sim.wire.peer import SerialPeer
 from gonio_sim.wire.tether import TetheredCamera
 
 from gonio.errors import ConfigError, Disturbed, PassingFault
 from gonio.lab.rig import Exposed, Exposes, Frame
 from gonio.lab.rig.dng import write_dng
+from tests.gonio_drivers.genicam_twin import GenICamTwin, described
 from tests.gonio_drivers.test_cameras import DESCRIPTION, PATIENCE_S, number, plain
 from tests.gonio_drivers.test_genicam import EXPOSURE_S, rig
 from tests.gonio_drivers.ticking import ticking

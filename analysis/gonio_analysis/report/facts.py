@@ -140,21 +140,6 @@ class DatasetSummary(Dataset):
         return describe_left_out(first) + more
 
     @property
-    def used(self) -> int:
-        """How many values count at the wavelength that is shown."""
-        return len(self.data)
-
-    @property
-    def brdf_min(self) -> float:
-        """The smallest of them [1/sr]."""
-        return float(self.data.brdf.min())
-
-    @property
-    def brdf_max(self) -> float:
-        """The largest of them [1/sr]."""
-        return float(self.data.brdf.max())
-
-    @property
     def negative(self) -> int:
         """How many of the values are below 0."""
         return int(np.count_nonzero(self.data.brdf < 0))

@@ -18,7 +18,6 @@ from gonio.lab.rig import Pose, Step, motion_planning, outlines
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.kinematics import blocked_cone
 from gonio.lab.rig.motion_planning import Blocked
-from gonio.lab.rig.outlines import Outline
 from gonio.typing import Axes, Figure
 
 COLOURS = {"light": "#e69f00", "camera": "#0072b2", "tilt": "#009e73", "spin": "#009e73", "bench": "#7f7f7f"}
@@ -114,13 +113,13 @@ def _title(step: Step, plan: Plan, points: Sequence[Assessed], description: RigD
 def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view: tuple[int, int]) -> None:
     from matplotlib.patches import Polygon
 
-    for outline in sorted(outlines.outlines(description, pose), key=lambda each: each.cable):
+    for body, points in sorted(outlines.outlines(description, pose), key=lambda each: each[0].cable):
         ax.add_patch(
             Polygon(
-                _hull(outline, view), closed=True, alpha=0.2 if outline.cable else 0.55, lw=0.8,
-                facecolor=COLOURS[outline.on[0]] if not outline.cable else "#b3b3b3", edgecolor="black",
-                ls=":" if outline.cable else "-",
-                label="where a cable may hang" if outline.cable else CARRIED[outline.on[0]],
+                _hull(points, body.radius, view), closed=True, alpha=0.2 if body.cable else 0.55, lw=0.8,
+                facecolor=COLOURS[body.on[0]] if not body.cable else "#b3b3b3", edgecolor="black",
+                ls=":" if body.cable else "-",
+                label="where a cable may hang" if body.cable else CARRIED[body.on[0]],
             )
         )  # fmt: skip
     lamp, lens = _heads(description, [pose])
@@ -131,8 +130,8 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
         ("light to the sample", "sight of the camera"),
         strict=True,
     ):
-        beam = Outline("", ("", ""), hull, 0.5, cable=False)
-        ax.add_patch(Polygon(_hull(beam, view), closed=True, fc=COLOURS[name], ec=COLOURS[name], lw=1.0, label=words))
+        beam = _hull(hull, 0.5, view)
+        ax.add_patch(Polygon(beam, closed=True, fc=COLOURS[name], ec=COLOURS[name], lw=1.0, label=words))
     for cable in description.cables:
         ends = outlines.cable_ends(description, pose, cable)
         ax.plot(*ends[:, view].T, color="black", lw=1.2, ls="--", label="cable, straight")
@@ -164,10 +163,10 @@ def _heads(description: RigDescription, poses: Sequence[Pose]) -> tuple[np.ndarr
     return lamp, lens
 
 
-def _hull(outline: Outline, view: tuple[int, int]) -> np.ndarray:
-    """The outline of a body in a view: the hull of circles around its corners."""
-    flat = outline.points[:, view]
-    around = outline.radius * np.stack([CIRCLE.real, CIRCLE.imag], axis=1) if outline.radius else np.zeros((1, 2))
+def _hull(corners: np.ndarray, radius: float, view: tuple[int, int]) -> np.ndarray:
+    """The outline of a body in a view: the hull of circles around its corners, shape (n, 3) [mm]."""
+    flat = corners[:, view]
+    around = radius * np.stack([CIRCLE.real, CIRCLE.imag], axis=1) if radius else np.zeros((1, 2))
     every = sorted({(round(x, 6), round(y, 6)) for x, y in (flat[:, None] + around[None]).reshape(-1, 2).tolist()})
     out: list[tuple[float, float]] = []
     for points in (every, every[::-1]):  # Andrew's monotone chain
@@ -197,10 +196,8 @@ def _cone(ax: Axes, description: RigDescription, lamp: np.ndarray, lens: np.ndar
     x /= np.linalg.norm(x)
     ring = np.outer(CIRCLE.real, x) + np.outer(CIRCLE.imag, np.cross(axis, x))
     rim = far * (math.cos(half) * axis + math.sin(half) * ring)
-    cone = Outline("", ("", ""), np.vstack([rim, far * axis, np.zeros(3)]), 0.0, cable=False)
-    ax.add_patch(
-        Polygon(_hull(cone, view), closed=True, fc="#d55e00", alpha=0.15, ec="none", label="blocked cone around retro")
-    )
+    cone = _hull(np.vstack([rim, far * axis, np.zeros(3)]), 0.0, view)
+    ax.add_patch(Polygon(cone, closed=True, fc="#d55e00", alpha=0.15, ec="none", label="blocked cone around retro"))
 
 
 def _limits(ax: Axes, description: RigDescription, view: tuple[int, int]) -> None:

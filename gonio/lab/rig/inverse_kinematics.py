@@ -23,9 +23,9 @@ from gonio.lab.rig.kinematics import (
     _angles,
     _direction,
     _known,
-    _separation,
     blocked_cone,
     read_pose,
+    separation,
 )
 from gonio.lab.rig.motion_planning import Blocked, require_free
 from gonio.lab.rig.protocols import Pose
@@ -130,7 +130,7 @@ def reach(description: RigDescription, d: Directions | Angles, *, nearby: bool =
         if not 0.0 <= theta <= most + AT_LIMIT:
             allowed = f"0 to {math.degrees(most):g} deg"
             raise Unreachable("below_horizon", f"{name} = {math.degrees(theta):g} deg is outside {allowed}")
-    apart, cone = _separation(one), blocked_cone(description)
+    apart, cone = separation(one), blocked_cone(description)
     if apart < cone - AT_LIMIT:
         cause = f"the bodies of source and detector block {math.degrees(cone):.1f} deg around retro"
         raise Unreachable("blocked", f"source and detector are {math.degrees(apart):.1f} deg apart: {cause}", cause)

@@ -348,12 +348,8 @@ def _heights(description: RigDescription, pose: Pose) -> tuple[float, float]:
     return description.geometry.light_distance_mm * light[2], description.geometry.camera_distance_mm * camera[2]
 
 
-def separation(d: Directions) -> float:
-    """Angle [rad] between source and detector of one pair of directions, without cancellation near 0 and near pi."""
-    return _separation(d.floats)
-
-
-def _separation(d: Angles) -> float:
+def separation(d: Angles) -> float:
+    """Angle [rad] between source and detector, without cancellation near 0 and near pi."""
     light, camera = _direction(*d[:2]), _direction(*d[2:])
     difference = math.dist(light, camera)
     total = math.dist(light, (-camera[0], -camera[1], -camera[2]))

@@ -6,10 +6,12 @@ from xml.etree import ElementTree
 import cv2
 import numpy as np
 import pytest
-from gonio_sim.wire import genicam, uvc
-from gonio_sim.wire.genicam import FORMATS, NAMESPACE, described, packed
+from gonio_sim.wire import uvc
 from gonio_sim.wire.peer import Clock
 from gonio_sim.wire.uvc import VideoStandIn
+
+from tests.gonio_drivers import genicam_twin
+from tests.gonio_drivers.genicam_twin import FORMATS, NAMESPACE, described, packed
 
 A, B = 0xABC, 0x123
 
@@ -64,7 +66,7 @@ def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     out: list[float] = []
     fake = SimpleNamespace(sleep=out.append, monotonic=lambda: 100.0 + sum(out))
     monkeypatch.setattr(uvc, "clock", fake)
-    monkeypatch.setattr(genicam, "clock", fake)
+    monkeypatch.setattr(genicam_twin, "clock", fake)
     return out
 
 

@@ -58,9 +58,9 @@ def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: P
 
 def test_a_body_is_drawn_where_it_stands() -> None:
     rig = describe(bodies=(POST, Body(name="box", on="light", centre_mm=(0, 0, 500), size_mm=(20, 40, 60))))
-    found = {each.name: each for each in outlines.outlines(rig, Pose(light=np.pi / 2))}
-    box = plan_picture._hull(found["box"], plan_picture.SIDE)
+    found = {body.body: (points, body.radius) for body, points in outlines.outlines(rig, Pose(light=np.pi / 2))}
+    box = plan_picture._hull(*found["box"], plan_picture.SIDE)
     # turned from z to x: 60 long along x around 500, 20 high around 0
     assert box.min(axis=0) == pytest.approx([470, -10])
     assert box.max(axis=0) == pytest.approx([530, 10])
-    assert np.hypot(*(plan_picture._hull(found["post"], plan_picture.ABOVE) - [500, 0]).T) == pytest.approx(40.0)
+    assert np.hypot(*(plan_picture._hull(*found["post"], plan_picture.ABOVE) - [500, 0]).T) == pytest.approx(40.0)

@@ -84,7 +84,7 @@ def test_a_reached_pose_shows_the_directions_that_were_asked_for(kind: str) -> N
         for _ in range(5):
             theta = rng.uniform(0.0 if kind == "tilt" else math.radians(12.0), math.radians(80.0), 2)
             d = Directions(theta[0], rng.uniform(0, 6.28), theta[1], rng.uniform(0, 6.28))
-            if not math.radians(15.0) < separation(d):
+            if not math.radians(15.0) < separation(d.floats):
                 continue
             back = directions(description, reach(description, d))
             assert max(np.linalg.norm(a - b) for a, b in zip(back.vectors, d.vectors, strict=True)) < 1e-9
