@@ -1,5 +1,6 @@
 """What holds for every test: none is timed, because machines that run them are busy with others."""
 
+import gc
 import os
 import signal
 import time
@@ -11,6 +12,9 @@ from hypothesis import settings
 
 # as the command has it: threads of BLAS that wait for each other cost more than they save; numpy is not imported yet
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# tests are collected in two thirds of the time, and what they are made of is looked through by no test's own collection
+gc.disable()
 
 # the same examples in every run; `pytest --hypothesis-profile=default` draws others
 settings.register_profile("gonio", deadline=None, derandomize=True)
@@ -34,6 +38,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Modules with slow tests come first: at the end no process is left alone with one."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

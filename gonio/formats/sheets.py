@@ -72,8 +72,8 @@ def table_of(sheets: Sequence[Sheet], path: Path, fits: Fits, takes: Takes) -> t
     number, sheet, first, _ = next(
         (one for one in found if one[3]), next(iter(found), (*full[0], min(row for row, _ in full[0][1]), False))
     )
-    header = _header(sheet, first)
-    rows = len({row for row, _ in sheet})
+    by_row = _rows(sheet)
+    header, rows = _header(by_row[first], min(column for _, column in sheet)), len(by_row)
     where = f"{path}, worksheet {number}"
     if rows * len(header) > MAX_PLACES:
         raise DataError(
@@ -172,24 +172,28 @@ def _require_unmerged(sheet: Sheet, first: int, taken: Mapping[int, object], whe
             )
 
 
-def _header(sheet: Sheet, first: int) -> dict[int, str]:
-    """Names of the columns by their places, in a row; of a matrix the corner may be empty."""
-    names = {column: _shown(value).strip() for (row, column), value in sorted(sheet.items()) if row == first}
-    left = min(column for _, column in sheet)
-    numbers = all(isinstance(value, float) for (row, _), value in sheet.items() if row == first)
+def _rows(sheet: Sheet) -> dict[int, dict[int, Cell]]:
+    """The cells of each row by their columns, in order."""
+    out: dict[int, dict[int, Cell]] = {}
+    for (row, column), value in sorted(sheet.items(), key=lambda cell: cell[0]):
+        out.setdefault(row, {})[column] = value
+    return out
+
+
+def _header(cells: Mapping[int, Cell], left: int) -> dict[int, str]:
+    """Names of the columns by their places, in a row; of a matrix the corner, in the column `left`, may be empty."""
+    names = {column: _shown(value).strip() for column, value in cells.items()}
+    numbers = all(isinstance(value, float) for value in cells.values())
     return {left: "", **names} if numbers and left not in names else names
 
 
 def _places(sheet: Sheet, fits: Fits) -> Iterator[tuple[int, bool]]:
     """The rows whose cells are a header that fits, and whether every cell below stands under one of its names."""
-    by_row: dict[int, set[int]] = {}
-    for row, column in sheet:
-        by_row.setdefault(row, set()).add(column)
-    ordered = sorted(by_row)
-    for k, first in enumerate(ordered[:_HEADER_WITHIN]):
-        header = _header(sheet, first)
+    rows, left = _rows(sheet), min(column for _, column in sheet)
+    for k, first in enumerate([*rows][:_HEADER_WITHIN]):
+        header = _header(rows[first], left)
         if fits([*header.values()]):
-            yield first, set().union(*(by_row[row] for row in ordered[k + 1 :])) <= header.keys()
+            yield first, set().union(*[*rows.values()][k + 1 :]) <= header.keys()
 
 
 _HEADER_WITHIN = 200

@@ -13,11 +13,9 @@ import pytest
 from gonio_analysis.processes import Died, Processes, processes
 from gonio_analysis.selection import parallel
 
-from gonio import measurement, plugins
+from gonio import plugins
 from gonio.errors import DataError
-from gonio.models import build
 from gonio.progress import Say
-from tests.gonio_analysis.synthetic import measure
 
 
 def _whose(job: object) -> int:
@@ -164,6 +162,10 @@ print(report.make(tables, sys.argv[1] + "/page", models=["lambert"]))
 @pytest.mark.slow
 def test_a_script_needs_no_guard(tmp_path: Path) -> None:
     """Functions and classes of the script itself, and a report of more tables than processes."""
+    from gonio import measurement  # here: each process of the other tests imports this module
+    from gonio.models import build
+    from tests.gonio_analysis.synthetic import measure
+
     count = 3
     for k in range(count):
         frame = measure(build("lambert", {"albedo": 0.5}), incidences=(30.0,), name=f"m{k}", seed=k)

@@ -222,7 +222,7 @@ def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
     monkeypatch.setattr(folder_camera, "RELEASE_S", LONGEST_S)
     with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=SCALE) as served:
         if not virtual:
-            served.description.devices["light"]["dialect"] = str(patient_dialect(tmp_path))
+            served.world.description.devices["light"]["dialect"] = str(patient_dialect(tmp_path))
             be_patient(served.peers["servos"], served.faults, monkeypatch)
         yield served
 

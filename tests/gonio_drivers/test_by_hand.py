@@ -31,6 +31,7 @@ from tests.gonio_drivers.conftest import (
     bench,
     by_hand,
     opened,
+    patient_dialect,
     read,
     small,
     written,
@@ -213,6 +214,7 @@ def test_ctrl_c_stops_every_axis_and_says_where_it_stands(
     tmp_path: Path, words: list[str], moving: list[str], short_of: dict[str, float]
 ) -> None:
     with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=1.0) as twins:
+        twins.world.description.devices["light"]["dialect"] = str(patient_dialect(tmp_path))
         under_way: set[str] = set()
         for name in moving:
             when_it_sets_out(twins.servos[name], lambda name=name: pressed(name), slow=False)  # type: ignore[misc]
@@ -275,8 +277,10 @@ def test_the_lamp_is_dark_however_its_command_ends_or_stands_still(
     rig = str(written(twins, tmp_path))
     with subprocess.Popen([*command, "--rig", rig], stderr=subprocess.PIPE, text=True) as child:
         assert child.stderr is not None
+        begun = ""
         while "lamp lit" not in (line := child.stderr.readline()):
-            assert line, "it ended"
+            assert line, f"it ended: {begun}"
+            begun += line
         assert stands_still or twins.lamp.shine.lit
         child.send_signal(number)
         if stands_still:

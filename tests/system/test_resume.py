@@ -22,18 +22,17 @@ from pathlib import Path
 from gonio.cli import main
 from gonio.lab.acquisition.journal import Journal
 
-steps, heard, write = int(sys.argv.pop(1)), Path(sys.argv.pop(1)), Journal.append
+steps, heard, write = int(sys.argv.pop(1)), Path(sys.argv.pop(1)), Journal._write
 
-def append(journal, event):
-    done = sum(other["event"] == "step" for other in journal.events)
-    while event["event"] == "step" and done > steps and not heard.exists():
+def held(journal, lines):
+    while sum(event["event"] == "step" for event in journal.events) >= steps and not heard.exists():
         time.sleep(0.001)
-    return write(journal, event)
+    write(journal, lines)
 
-Journal.append = append
+Journal._write = held
 main()
 """
-"""The command `gonio`, but it does not get further than one step more until it has been sent its signal."""
+"""The command `gonio`, whose journal gets no longer than some steps until it has been sent its signal."""
 
 
 def kill_after(files: Path, out: str, steps: int, how: signal.Signals, *more: str) -> int:

@@ -1,6 +1,7 @@
 """Samples on several processes, and on a Dask cluster."""
 
 import logging
+import math
 import multiprocessing
 import os
 import pickle
@@ -13,20 +14,20 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from gonio_analysis.fitting.fit import fit
-from gonio_analysis.report.comparison import summarise
-from gonio_analysis.result_records import as_json
 from gonio_analysis.selection import parallel
-from gonio_analysis.selection.compare import examine
 
 from gonio.errors import ConfigError, DataError
-from gonio.models import CookTorrance, Lambert, build
-from tests.gonio_analysis.synthetic import measure
+
+# each process of these tests imports this module: fits and models are imported where they are used
 
 
 def test_a_fit_goes_to_another_process_and_back() -> None:
+    from gonio_analysis.fitting.fit import fit
+
+    from gonio.models import build
+    from tests.gonio_analysis.synthetic import measure
+
     paint = build("cook-torrance", {"s": 0.1, "d": 0.9, "slopes": ((0.25, 1.0),), "diffuse_albedo": 0.4, "ior": 1.5})
     result = fit(measure(paint), "cook-torrance", fix={"ior": 1.5}, bounds={"m": (0.1, 0.5)})
     again = pickle.loads(pickle.dumps(result))
@@ -120,6 +121,13 @@ def test_a_job_that_ends_every_worker_is_an_error(cluster: Any) -> None:
 
 
 def test_an_examined_sample_comes_back_whole() -> None:
+    from gonio_analysis.report.comparison import summarise
+    from gonio_analysis.result_records import as_json
+    from gonio_analysis.selection.compare import examine
+
+    from gonio.models import Lambert
+    from tests.gonio_analysis.synthetic import measure
+
     dataset = examine(measure(Lambert(0.5), name="matte"), ["lambert", "oren-nayar"], name="matte")
     again = pickle.loads(pickle.dumps(dataset))
     one, other = (summarise([d], title="", normalise="mirror", command="").datasets for d in (again, dataset))
@@ -192,7 +200,9 @@ def test_a_process_that_dies_is_an_error() -> None:
 
 
 def _at_30_degrees(theta_r: float) -> float:
-    return float(CookTorrance(ior=1.5).brdf(0.5, 0.0, theta_r, np.pi))
+    from gonio.models import CookTorrance
+
+    return float(CookTorrance(ior=1.5).brdf(0.5, 0.0, theta_r, math.pi))
 
 
 @pytest.mark.slow
