@@ -17,13 +17,13 @@ from gonio.cli import console
 from gonio.errors import ConfigError
 from gonio.geometry import direction
 from gonio.platform import command_line
+from gonio.typing import Floats
 from gonio_maps.fits import fits
 from gonio_maps.fits.tables import solved as solved
 
 if TYPE_CHECKING:
     from gonio.lab.acquisition.run import Run
     from gonio.lab.reduction.brdf import Reduction
-    from gonio.typing import Floats
     from gonio_maps.reduction.maps import Written
 
 

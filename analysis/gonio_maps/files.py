@@ -26,7 +26,7 @@ import numpy as np
 from gonio import hdf5, platform, seals
 from gonio.disk import half_written, require_name, sha256_of, write_whole
 from gonio.errors import ConfigError, DataError, os_error_as
-from gonio.geometry import ANGLES_DEG
+from gonio.geometry import ANGLES_DEG, Directions
 from gonio.hdf5 import MAP_FORMAT, is_map
 from gonio.typing import Array, Bools, DataFrame, Floats, Ints, JsonObject, NDArray
 
@@ -457,8 +457,6 @@ class MapFile:
     def table(self, row: int, col: int) -> DataFrame:
         """The measurement table of one pixel, in its own directions (`gonio.measurement`)."""
         import pandas as pd
-
-        from gonio.geometry import Directions
 
         spot = np.array([self.x_mm[col], self.y_mm[row], 0.0])
         at = Directions.from_vectors(self.array("source_mm") - spot, self.array("camera_mm") - spot)

@@ -9,6 +9,7 @@ from gonio_analysis.commands import Radius
 
 from gonio.cli import console
 from gonio.errors import ConfigError
+from gonio.platform import command_line
 
 NAME_HELP = 'A figure, as htsg-8; "all" of them; "pictures", all the rendered ones; or "list", which names them.'
 
@@ -57,8 +58,6 @@ def figures(
 
 def _made(module: str, *arguments: Any, **options: Any) -> None:
     """Make the page that a module of this package makes, with the command line for its record, and print its path."""
-    from gonio.platform import command_line
-
     print(import_module(f"gonio_validation.{module}").make(*arguments, command=command_line(), **options))
 
 
@@ -68,7 +67,6 @@ def verify(out: Annotated[Path | None, typer.Option(help="Folder of a page to si
 
     from gonio_analysis.report import files
 
-    from gonio.platform import command_line
     from gonio_validation import verify as of_all
 
     if out is not None:

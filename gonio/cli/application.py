@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from gonio import platform
+from gonio import platform, plugins
 from gonio.cli.signals import Ending, deafen
 from gonio.errors import ConfigError, DataError, GonioError, Incomplete, missing_package
 from gonio.shown import visible
@@ -211,8 +211,6 @@ def _in_order(points: Mapping[str, Any]) -> type[typer.core.TyperGroup]:
     """The group of commands: ours and plug-ins', in the order of `ORDER`, each loaded when it is asked for."""
     import typer
 
-    from gonio import plugins
-
     class InOrder(typer.core.TyperGroup):
         def list_commands(self, ctx: Any) -> list[str]:
             names = {n for n in (*super().list_commands(ctx), *points) if not plugins.left_out("gonio.commands", n)}
@@ -243,7 +241,6 @@ def build() -> typer.Typer:
     """The application with every command that is installed."""
     import typer
 
-    from gonio import plugins
     from gonio.cli import options, tables
 
     app = typer.Typer(
@@ -266,8 +263,6 @@ def build() -> typer.Typer:
 def _command(name: str, point: Any) -> Any:
     """The command, or the group of commands, that an entry point names; a broken one says so when it is called."""
     import typer
-
-    from gonio import plugins
 
     def made(command: Any, **settings: Any) -> Any:
         app = typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gonio import plugins
 from gonio.cli import console
 from gonio.cli.options import Columns, reading, remember
-from gonio.disk import STDOUT, check_writable, is_stream
-from gonio.errors import ConfigError, GonioError
+from gonio.disk import STDOUT, check_writable, is_stream, read_file
+from gonio.errors import ConfigError, DataError, GonioError, os_error_as
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,8 +99,6 @@ def convert(
 def _ask(path: Path, columns: str | None) -> None:
     """Say what the columns of a table may be and why, and the first rows as they would be read."""
     from gonio import measurement
-    from gonio.disk import read_file
-    from gonio.errors import DataError, os_error_as
     from gonio.formats import own_pairs
 
     with os_error_as(ConfigError, f"{path}: cannot be read"):
@@ -179,7 +178,6 @@ def _table(
 
 def _export(source: str, target: Path, name: str, more: object) -> None:
     """A whole run, as an entry point of the group `gonio.exports` writes it."""
-    from gonio import plugins
 
     if more is not None or not Path(source).is_dir():
         what = "goes with --to alone" if more is not None else "is no folder"
@@ -192,7 +190,6 @@ def _export(source: str, target: Path, name: str, more: object) -> None:
 
 def _exported(write: Any, source: str, target: Path, name: str) -> list[str]:
     """What an export says; one that fails leaves the place as it was."""
-    from gonio import plugins
 
     with _as_it_was(target), plugins.blamed(f"{source}: the export --to {name}"):
         said = [str(line) for line in write(source, target)]
@@ -226,7 +223,6 @@ def _as_it_was(target: Path) -> Iterator[None]:
 
 def _textures(source: str, target: Path, more: object) -> None:
     """A map of fits as textures for renderers."""
-    from gonio import plugins
     from gonio.hdf5 import is_map
 
     if more is not None or not is_map(source):

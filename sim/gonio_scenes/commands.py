@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gonio.cli import console
+from gonio.errors import ConfigError
+from gonio.platform import command_line
 
 if TYPE_CHECKING:
     from gonio_scenes.scene import Scene
@@ -27,8 +29,6 @@ def render(
     ] = None,
 ) -> None:
     """Render a scene file through the models. Prints the picture's path."""
-    from gonio.errors import ConfigError
-    from gonio.platform import command_line
     from gonio_scenes import picture
     from gonio_scenes.cheaper import render_to_error
     from gonio_scenes.render import render as rendered
@@ -63,7 +63,6 @@ def render(
 
 def _share(text: str) -> float:
     """A share as people write it: 1%, 0.01."""
-    from gonio.errors import ConfigError
 
     try:
         share = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
@@ -75,8 +74,6 @@ def _share(text: str) -> float:
 
 
 def _write(scene: Scene, out: Path, to: str, exr: bool) -> None:
-    from gonio.errors import ConfigError
-    from gonio.platform import command_line
     from gonio_scenes import mitsuba
 
     if to != "mitsuba":
@@ -99,7 +96,6 @@ def photograph(
 ) -> None:
     """Measure from a photograph of a curved sample. Every square of pixels becomes a row of a measurement table."""
     from gonio import measurement
-    from gonio.errors import ConfigError
     from gonio_scenes.photograph import reduce
     from gonio_scenes.scene import read
 

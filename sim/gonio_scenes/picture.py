@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio import __version__
+from gonio import __version__, colour
 from gonio.disk import require_own, work_folder, write_own
 from gonio.errors import ConfigError, os_error_as
 from gonio.lab.acquisition.exposure import USABLE
@@ -107,8 +107,6 @@ def display(scene: Scene, radiance: Floats) -> tuple[Image, float]:
 
     In colour from two visible wavelengths on, else in grey: the radiance at the middle wavelength.
     """
-    from gonio import colour
-
     waves, white = scene.wavelength_nm, scene.picture.white
     visible = (waves >= colour.wavelengths()[0]) & (waves <= colour.wavelengths()[-1])
     if visible.sum() < 2:
@@ -137,8 +135,6 @@ def tristimulus(scene: Scene, radiance: Floats) -> tuple[Floats, str | None]:
     Where they do, what is interpolated between the scene's wavelengths is the reflection alone, which is smooth: the
     illuminant's own structure stays whole, however few wavelengths there are.
     """
-    from gonio import colour
-
     waves = scene.wavelength_nm
     if scene.tables.of_channels:
         return radiance @ colour.channel_weights(), "D65"

@@ -9,17 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gonio.geometry import Directions
-from gonio.models import fresnel
+from gonio.models import Model, fresnel
 from gonio.models.corrected import evenly
 from gonio.typing import Floats
-
-if TYPE_CHECKING:
-    from gonio.models import Model
 
 STANDARD_INDEX = 1.567
 """Index of refraction of the glass that has 100 gloss units at every angle."""

@@ -14,6 +14,7 @@ from gonio import colour, models
 from gonio.config import numbers_in, with_numbers
 from gonio.errors import ArgumentError
 from gonio.geometry import ANGLES, Directions
+from gonio.models import Model
 from gonio.models.corrected import UNMEASURED, Correction, folded, reflected
 from gonio.shown import finite
 from gonio.spectra import CHANNELS_NM
@@ -26,7 +27,6 @@ from gonio_analysis.fitting.propagation import axes_of
 from gonio_analysis.result_records import Appearance, Quantity
 
 if TYPE_CHECKING:
-    from gonio.models import Model
     from gonio.samples.description import SampleDescription
     from gonio_analysis.fitting.fit import FitResult
     from gonio_analysis.fitting.level import MeasuredLevel

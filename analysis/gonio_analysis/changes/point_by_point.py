@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,9 +33,6 @@ from gonio_analysis.fitting.forward import apparent
 from gonio_analysis.fitting.objective import metrics, ratio_to, scaled_to
 from gonio_analysis.fitting.observations import Observations, describe_left_out
 from gonio_analysis.fitting.value_covariance import ADDED, Covariance
-
-if TYPE_CHECKING:
-    pass
 
 INCIDENCES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0)

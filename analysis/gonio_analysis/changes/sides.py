@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gonio import measurement, shown
 from gonio.errors import DataError
-from gonio.measurement import is_simulated, of_reader
+from gonio.measurement import Reading, is_simulated, of_reader
 from gonio.typing import DataFrame
 from gonio_analysis.fitting.observations import Observations, observations
-
-if TYPE_CHECKING:
-    from gonio.measurement import Reading
 
 
 @dataclass(frozen=True)

@@ -244,7 +244,6 @@ def report(
     """Write the report of one run, or of a map: what is in every pixel."""
 
     from gonio import plugins
-    from gonio.errors import ConfigError
     from gonio.hdf5 import MAP_SUFFIXES, is_map
     from gonio_analysis.commands import implementations
 

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gonio import measurement, plugins, shown
 from gonio.cli import console
@@ -34,9 +34,6 @@ from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_every
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, in_words, of_fit, reflectances
-
-if TYPE_CHECKING:
-    from gonio.measurement import Reading
 
 NOTES = 10
 """Most kinds of notes of readers that are said of very many tables."""

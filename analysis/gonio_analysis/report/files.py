@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -38,12 +38,10 @@ from gonio.shown import visible
 from gonio.typing import Floats, JsonObject
 from gonio_analysis.report import html, viewer
 from gonio_analysis.report.blocks import Page, titled, with_notice
+from gonio_analysis.report.drawing import Figure
 from gonio_analysis.report.facts import VALUES, DatasetSummary, Summary
 from gonio_analysis.result_records import as_json
 from gonio_analysis.selection.compare import DrawnCurve
-
-if TYPE_CHECKING:
-    from gonio_analysis.report.drawing import Figure
 
 ROWS_AT_ONCE = 10_000
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ import numpy.typing as npt
 from gonio import hdf5
 from gonio.errors import ConfigError, DataError
 from gonio.geometry import ANGLES_DEG
+from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction.brdf import Reduction
 from gonio.lab.reduction.count_rates import RunFrames
 from gonio.lab.rig import kinematics
@@ -36,9 +37,6 @@ from gonio_maps.files import FLAGS, Parts, Tile, Variable
 from gonio_maps.reduction.map_grid import Grid, Lookup, grid
 from gonio_maps.reduction.map_planes import OUTSIDE, PIXEL, MapPoint, Planes, lattices
 from gonio_maps.reduction.registration import shifts
-
-if TYPE_CHECKING:
-    from gonio.lab.acquisition.run import Run
 
 MANY_POINTS = 1500
 """Number of points above which one tile is made at a time: it takes 0.3 MB a point."""

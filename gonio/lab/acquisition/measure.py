@@ -17,7 +17,7 @@ from gonio.disk import check_writable
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
 from gonio.lab.acquisition.duration import Durations, as_begun, ordered
 from gonio.lab.acquisition.plan import Assessed, Plan, assess, said_beside
-from gonio.lab.acquisition.progress import Progress, Remaining, Silent, Stop
+from gonio.lab.acquisition.progress import Pause, Progress, Remaining, Silent, Stop
 from gonio.lab.acquisition.run import Run
 from gonio.lab.acquisition.run_folder import begun, check_new
 from gonio.lab.acquisition.run_settings import RunRequest
@@ -31,10 +31,7 @@ from gonio.samples.description import SampleDescription
 from gonio.samples.files import load_sample as load_sample
 
 if TYPE_CHECKING:
-    from gonio.lab.acquisition.progress import Pause, Stop
     from gonio.lab.acquisition.resuming import Resumed
-    from gonio.lab.acquisition.run import Run
-    from gonio.lab.acquisition.run_settings import RunRequest
     from gonio.lab.acquisition.sampling import Sampler
 
     Prepared = tuple[Plan, "RigChoice", list[Assessed], Sampler | None]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from gonio import plugins
 from gonio.cli import console
 from gonio.disk import put
 from gonio.errors import ConfigError, DeviceError, GonioError, Interrupted
@@ -34,7 +35,6 @@ LITTLE_DEG = 2.0
 @app.command("list")
 def list_rigs() -> None:
     """List the rigs that are installed; a broken one with its error."""
-    from gonio import plugins
 
     table = console.table("rig", "from", "")
     for name, point in plugins.available("gonio.rigs").items():
@@ -187,7 +187,6 @@ def new_rig(
     like: Annotated[str, typer.Option(help="The shipped rig whose file is filled in: lab, three-servos.")] = "lab",
 ) -> None:
     """Ask what a rig file needs, find ports, servos and lamp, and write the file, with a comment on each value."""
-    from gonio import plugins
     from gonio.config import read_toml
     from gonio.lab.by_hand.new_rig import Answers, Person, make
 

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gonio.errors import ConfigError
+
 if TYPE_CHECKING:
     from gonio.lab.rig.description import RigDescription
     from gonio.samples.description import SampleDescription
@@ -48,7 +50,6 @@ def serve(
 
     from gonio import platform
     from gonio.disk import require_own, write_own
-    from gonio.errors import ConfigError
     from gonio.lab.acquisition.measure import find_rig
     from gonio.samples.files import load_sample
     from gonio_sim.wire import faults
@@ -118,7 +119,6 @@ def _announce(rig: str, path: Path, twins: Twins) -> None:
 
 def _require_twins(description: RigDescription) -> None:
     """Raise `ConfigError` where a device would be silent, which `measure` asks for."""
-    from gonio.errors import ConfigError
 
     if "interlock" in description.devices and "axis" not in description.devices["interlock"]:
         raise ConfigError(
@@ -131,7 +131,6 @@ def _require_twins(description: RigDescription) -> None:
 
 def _require_measurable(rig: str, path: Path, sample: SampleDescription | None) -> None:
     """Raise `ConfigError`, which names the rig that was asked for, where `measure` refuses that of its twins."""
-    from gonio.errors import ConfigError
     from gonio.lab.acquisition.measure import check_patches, find_rig
     from gonio.lab.acquisition.schedule import reference_pose
 
