@@ -13,8 +13,7 @@ from gonio_analysis.fitting.value_covariance import independent
 from gonio_analysis.plots import thinning
 from gonio_analysis.report.viewer import MOST_LISTED, ViewerData, WaveView, entry, points
 
-from gonio import geometry
-from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions, groups
+from gonio.geometry import IN_PLANE, SAME_ANGLE, Directions, groups, wrap
 from gonio.typing import Floats
 from gonio_watch import worker
 from gonio_watch.provisional import ProvisionalValues
@@ -130,7 +129,7 @@ def _maps(data: Observations) -> list[Map]:
         if float(here.theta_i.max()) < SAME_ANGLE or not np.any(np.abs(here.out_of_plane) > IN_PLANE):
             continue
         chosen = group[:: -(-group.size // MOST_MAPPED)]
-        dphi = np.degrees(geometry.wrap(at[chosen].phi_r - at[chosen].phi_i))
+        dphi = np.degrees(wrap(at[chosen].phi_r - at[chosen].phi_i))
         polar, brdf = np.degrees(at[chosen].theta_r), data.brdf[chosen]
         rows = [(_short(t), _short(p), _short(f)) for t, p, f in zip(polar, dphi, brdf, strict=True)]
         out.append({"label": f"θi = {round(float(np.degrees(here.theta_i.mean())), 1):g}°", "points": rows})

@@ -19,9 +19,9 @@ from functools import cached_property
 
 import numpy as np
 
-from gonio import geometry, shown
+from gonio import shown
 from gonio.errors import ConfigError, DataError
-from gonio.geometry import SAME_ANGLE, Directions
+from gonio.geometry import SAME_ANGLE, Directions, wrap
 from gonio.models.corrected import Corrected, folded
 from gonio.progress import Say, silent
 from gonio.typing import Floats
@@ -422,7 +422,7 @@ def _turn(a: Observations, b: Observations) -> float:
         if not arrow.size or np.abs(arrow - arrow[0]).max() > SAME_ANGLE:
             return 0.0
         means.append(float(np.angle(arrow.mean())))
-    turn = float(geometry.wrap(means[0] - means[1]))
+    turn = float(wrap(means[0] - means[1]))
     return 0.0 if min(turn, 2 * np.pi - turn) <= SAME_ANGLE else turn
 
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from gonio import measurement, plugins, shown
+from gonio import plugins, shown
 from gonio.cli import console
 from gonio.cli.options import remember
 from gonio.disk import check_writable
 from gonio.errors import ConfigError, Incomplete
 from gonio.hdf5 import is_map
-from gonio.measurement import Reading
+from gonio.measurement import Reading, is_simulated, of_one
 from gonio.platform import command_line
 from gonio.spectra import RGB_NM
 from gonio_analysis import result_records as results
@@ -30,7 +30,6 @@ from gonio_analysis.fitting.energy import of_model
 from gonio_analysis.fitting.observations import Observations, check_u_rel, check_wavelength, observations, together
 from gonio_analysis.fitting.optical_constants import Constants, NamedSample, TakenConstants
 from gonio_analysis.fitting.problem import FitRequest, check_metric
-from gonio_analysis.fitting.profile_likelihood import Interval
 from gonio_analysis.fitting.spectrum import fit_every
 from gonio_analysis.report.text import quantity, with_u
 from gonio_analysis.report.verdict import after_misfit, in_words, of_fit, reflectances
@@ -175,7 +174,7 @@ def fit(tables: list[str], asked: FitRequest, how: Reading, wanted: Wanted) -> N
         asked = with_u_ior(asked, wanted.u_ior, data.nearest(asked.wavelength_nm)[1])
     every = (wanted.save is not None or data.of_channels) and wanted.u_ior is None
     result, *others = fit_every(data, asked, name=" + ".join(tables), every=every, say=console.note)
-    walked: dict[str, Interval] = {}
+    walked: dict[str, profile_likelihood.Interval] = {}
     if wanted.intervals and result.shared is not None:
         walked = profile_likelihood.profiles(result).intervals
     elif wanted.intervals:
@@ -231,8 +230,8 @@ def _constants(asked: FitRequest, constants: Constants, samples: list[NamedSampl
 
 def _observed(table: str, u_rel: float | None, how: Reading) -> tuple[str, Observations, bool]:
     """The one sample that a table on the command line names, its usable values, and whether they are simulated."""
-    name, frame = measurement.of_one(table, how)
-    return name, observations(frame, table, u_rel, polarised=True), measurement.is_simulated(frame)
+    name, frame = of_one(table, how)
+    return name, observations(frame, table, u_rel, polarised=True), is_simulated(frame)
 
 
 def _short(tables: list[str]) -> list[str]:
@@ -244,7 +243,7 @@ def _short(tables: list[str]) -> list[str]:
     return names if len(set(names)) == len(names) else tables
 
 
-def _print(result: fitting.FitResult, sample: str, walked: dict[str, Interval]) -> None:
+def _print(result: fitting.FitResult, sample: str, walked: dict[str, profile_likelihood.Interval]) -> None:
     at = f" at {result.wavelength_nm:g} nm" if result.wavelength_nm == result.wavelength_nm else ""
     level = [f"{100 * next(iter(walked.values())).level:g} % interval"] if walked else []
     title = f"{result.name} on {sample}: {len(result.data)} values{at}"

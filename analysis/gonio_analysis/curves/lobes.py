@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gonio import geometry
-from gonio.geometry import FARTHEST
+from gonio.geometry import FARTHEST, half_angle_of_cone
 from gonio.typing import Bools, Floats, Ints
 from gonio_analysis.curves.in_plane import Curve
 from gonio_analysis.fitting.observations import Observations
@@ -119,7 +118,7 @@ def lobe(curve: Curve, data: Observations) -> CurveLobe | None:
 
 
 def _too_narrow(width: float, data: Observations) -> str:
-    cones = geometry.half_angle_of_cone([data.source_solid_angle_sr, data.receiver_solid_angle_sr])
+    cones = half_angle_of_cone([data.source_solid_angle_sr, data.receiver_solid_angle_sr])
     seen = 2.0 * float(np.nan_to_num(cones).sum())
     return "it is as narrow as the instrument's cones" if width < CONES * seen else ""
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gonio import geometry
-from gonio.geometry import FARTHEST
+from gonio.geometry import FARTHEST, direction
 from gonio.typing import Floats, Ints
 from gonio_analysis.curves.in_plane import Line
 from gonio_analysis.fitting.observations import Observations
@@ -294,7 +293,7 @@ def _triangles(theta: Floats, dphi: Floats) -> Any:
     if x.size < 4 or min(float(np.ptp(x)), float(np.ptp(y))) < 5.0:
         return None
     mesh = Triangulation(x, y)
-    corner = geometry.direction(theta, dphi)[mesh.triangles]
+    corner = direction(theta, dphi)[mesh.triangles]
     edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
     if np.mean(edges > FARTHEST) > 0.5:  # shards between scattered points would say less than the points
         return None
@@ -314,7 +313,7 @@ def _on_disc(theta: Floats, dphi: Floats) -> tuple[Floats, Floats]:
 
 
 def _in_space(theta: Floats, dphi: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
-    x, y, z = np.moveaxis(geometry.direction(theta, dphi), -1, 0)
+    x, y, z = np.moveaxis(direction(theta, dphi), -1, 0)
     return -radius * x, -radius * y, radius * z
 
 

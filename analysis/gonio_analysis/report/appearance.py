@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gonio import measurement
-from gonio.measurement import Reading
+from gonio.measurement import Reading, of_one
 from gonio.typing import Floats
 from gonio_analysis.appearance.glossmeter import GLOSSMETERS, SOURCE_DEG
 from gonio_analysis.appearance.of_models import of_sample
@@ -63,7 +62,7 @@ def of(spec: str, *, wavelength_nm: float | None = None, how: Reading | None = N
 
         return of_sample(load_sample(spec, uniform=True), source=spec, wavelength_nm=wavelength_nm)
 
-    name, table = measurement.of_one(spec, how)
+    name, table = of_one(spec, how)
     return of_table(table, name=name, source=spec, wavelength_nm=wavelength_nm)
 
 

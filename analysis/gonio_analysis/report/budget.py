@@ -11,8 +11,7 @@ import numpy as np
 
 from gonio.run_facts import BudgetCurve, BudgetFacts, RunFacts
 from gonio_analysis.curves.in_plane import evenly
-from gonio_analysis.plots import in_plane
-from gonio_analysis.plots.in_plane import COLOURS, clean
+from gonio_analysis.plots.in_plane import COLOURS, clean, degrees_along
 from gonio_analysis.plots.style import FAINT
 from gonio_analysis.report.blocks import MOST_ROWS, Block, Figures, Heading, Notes, Paragraph, Text, caused, table, term
 from gonio_analysis.report.drawing import Drawing, Figure
@@ -158,7 +157,7 @@ def _on_panels(figure: Any, *, curves: list[BudgetCurve], names: list[str], rows
             area.set(**look)
         ax.set_title(f"θi = {curve.theta_i_deg:g}°", fontsize=7.5, pad=4)  # centred, as the label 100 % is at the left
         ax.set_xlim(-90, 90)
-        in_plane.degrees_along(ax, 60, 60)
+        degrees_along(ax, 60, 60)
         ax.set_ylim(0, 100)
         ax.set_yticks([0, 50, 100], ["0", "50 %", "100 %"])
         ax.tick_params(labelsize=7, labelbottom=k + columns >= len(curves))

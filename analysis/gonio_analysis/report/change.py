@@ -22,7 +22,6 @@ from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import thinning
 from gonio_analysis.report import change_figures, change_page, files, viewer
 from gonio_analysis.report.blocks import Stamp, stamp
-from gonio_analysis.report.change_page import Waves
 from gonio_analysis.report.drawing import FigureWorkers, figure_workers
 from gonio_analysis.report.files import ROWS_AT_ONCE, write_columns, write_csv
 
@@ -181,8 +180,8 @@ def _zero(x: Effect) -> dict[str, object]:
     return {"zero_deg": value, "u_zero_deg": u, "p": x.p, "found": x.found, "detectable_deg": detectable}
 
 
-def _wavelengths(c: Change) -> Waves:
-    v, rows, out = c.verdict, RowsAt(c.at.wavelength_nm), Waves()
+def _wavelengths(c: Change) -> change_page.Waves:
+    v, rows, out = c.verdict, RowsAt(c.at.wavelength_nm), change_page.Waves()
     for nm in c.at.wavelengths:
         here = rows.at(nm)
         one: dict[str, float | None] = {"wavelength_nm": finite(nm), "n_points": here.size}

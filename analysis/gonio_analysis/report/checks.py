@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from gonio.checks import verdicts
 from gonio.checks.symmetry import Pairs, repeats
 from gonio.checks.values import CheckedValues
-from gonio.checks.verdicts import Check
+from gonio.checks.verdicts import Check, of_values
 from gonio_analysis.curves.in_plane import evenly
 from gonio_analysis.plots.in_plane import COLOURS, clean, style
 from gonio_analysis.plots.style import FAINT
@@ -38,7 +37,7 @@ def summary(
 ) -> ChecksSummary:
     """The checks of the values of one wavelength, and of the run that measured them in some bands."""
     kept = [one for one in map(Check.from_json, provenance.get("checks") or []) if one is not None]
-    values = verdicts.of_values(data)
+    values = of_values(data)
     here = {one.name for one in values}
     given = [v for v in provenance.get("reference") or [] if isinstance(v, dict) and v.get("band") in bands]
     visits = given[0] if given and given[0].get("times_s") else {"times_s": [], "signals": []}

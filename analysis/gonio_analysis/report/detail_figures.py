@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio import geometry
-from gonio.geometry import Directions, groups
+from gonio.geometry import Directions, groups, wrap
 from gonio.polarisation import UNPOLARISED
 from gonio.typing import Floats, Ints
 from gonio_analysis.curves.in_plane import Curve, Line, evenly, labels
@@ -111,7 +110,7 @@ def _lobe(d: DatasetSummary, rows: Ints, most: int) -> Drawing:
 
     def brdf(theta_r: Any, dphi: Any) -> Any:
         still = np.full(theta_r.shape, theta)
-        at = Directions(still, 0 * still, theta_r, geometry.wrap(dphi))
+        at = Directions(still, 0 * still, theta_r, wrap(dphi))
         # the lobe without its spike, which would leave nothing else to see
         return seen(best.model, at, wavelength_nm=nm, cones=(0.0, 0.0), state=state, polarisers=data.polarisers)
 

@@ -13,7 +13,7 @@ from gonio.measurement import Reading, of_reader, said_once
 from gonio_analysis.changes.consensus import METHODS, Consensus
 from gonio_analysis.changes.laboratories import LEVEL, LaboratoryComparison, LaboratoryVerdict, compared
 from gonio_analysis.changes.sides import side
-from gonio_analysis.report import change_figures, files, frame
+from gonio_analysis.report import change_figures, frame
 from gonio_analysis.report.blocks import (
     Figures,
     Heading,
@@ -29,7 +29,7 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.drawing import Figure, figure_workers
-from gonio_analysis.report.files import write_columns
+from gonio_analysis.report.files import staged, write_columns, write_page
 from gonio_analysis.report.text import number, percent, with_u
 
 FIGURES = 5
@@ -90,7 +90,7 @@ def make(
     """
     if len(specs) < 2:
         raise ConfigError("--laboratories compares two or more tables of one sample; one is named")
-    with files.staged(out) as stage, figure_workers(FIGURES) as workers:
+    with staged(out) as stage, figure_workers(FIGURES) as workers:
         sides = [replace(side(spec, how, u_rel), name=name) for spec, name in zip(specs, names(specs), strict=True)]
         for note in said_once({x.name: of_reader(x.table) for x in sides if x.table is not None}):
             progress(note)
@@ -98,7 +98,7 @@ def make(
         progress(conclusion(found))
         tables = lost.kept("tables", lambda: _write_tables(found, stage.work / "tables"), lambda loss: [])
         made = stamp(command)
-        files.write_page(
+        write_page(
             stage.work,
             _title(found),
             partial(_page, found, made),

@@ -14,10 +14,9 @@ from gonio.formats import channels
 from gonio.models import Model, Sum
 from gonio.models.parameters import Ior
 from gonio.typing import DataFrame
-from gonio_analysis.changes import point_by_point, sides
+from gonio_analysis.changes import point_by_point
 from gonio_analysis.changes.consensus import consensus as consensus
-from gonio_analysis.changes.point_by_point import Change
-from gonio_analysis.changes.sides import Side
+from gonio_analysis.changes.sides import Side, of_table
 from gonio_analysis.curves.in_plane import Normalise
 from gonio_analysis.fitting.fit import FitResult
 from gonio_analysis.fitting.observations import check_u_rel, observations
@@ -125,7 +124,7 @@ def compare(
     return ShownComparison.of(found, "sample")
 
 
-def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = None) -> Change:
+def change(a: Table | Model, b: Table | Model, *, wavelength_nm: float | None = None) -> point_by_point.Change:
     """B against A, point by point; each is a table, or a model.
 
     Raises
@@ -252,7 +251,7 @@ def _side(one: Table | Model, letter: str) -> Side:
     if isinstance(one, Model):
         return Side(f"{letter}: {one.name}", letter, model=one)
     frame, called = _table(one, None)
-    return sides.of_table(f"{letter}: {called}", called, frame)
+    return of_table(f"{letter}: {called}", called, frame)
 
 
 in_notebook()

@@ -35,10 +35,10 @@ import numpy.typing as npt
 from gonio_analysis.fitting.problem import acceptable
 
 from gonio.errors import ConfigError
-from gonio.models import _loops, engine
+from gonio.models import _loops
 from gonio.models._compile import fingerprint, jit, loop
 from gonio.models._facets import fresnel_real, index_constants
-from gonio.models.engine import Kernel
+from gonio.models.engine import Kernel, in_parts
 from gonio.typing import Floats
 from gonio_maps.models._batch_models import MODELS, ROUGH_TIER, SCALES, Batched, with_fresnel
 
@@ -127,7 +127,7 @@ def fit(
         np.empty(pixels, np.int64),
     )  # fmt: skip
     run = _engine()
-    engine.in_parts(
+    in_parts(
         lambda start, stop: run(
             *posed.compiled, *posed.given, posed.common, posed.which, posed.lower, posed.upper, grid, widths,
             posed.blocks, _critical(n, len(posed.free)), posed.model.every, *of_starts, out.values, out.covariance,

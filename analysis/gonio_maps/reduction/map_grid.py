@@ -10,7 +10,6 @@ import numpy.typing as npt
 from gonio.errors import ConfigError
 from gonio.lab.rig import imaging
 from gonio.lab.rig.description import RigDescription
-from gonio.lab.rig.imaging import pixel_map
 from gonio.lab.rig.kinematics import View
 from gonio.lab.rig.light_and_camera import Camera
 from gonio.typing import Floats, Ints
@@ -198,7 +197,7 @@ class Lookup:
         lattice, (rows, cols) = self._lattices[k], self._boxes[k]
         span = lattice.of(*(slice(s.start + b.start, s.stop + b.start) for s, b in zip(box, (rows, cols), strict=True)))
         every = (slice(None, None, lattice.pitch),) * 2
-        seen = pixel_map(self._planes.description, self._point.view, *(slice(s.start, s.stop) for s in span))
+        seen = imaging.pixel_map(self._planes.description, self._point.view, *(slice(s.start, s.stop) for s in span))
         with np.errstate(invalid="ignore"):
             i = np.floor(np.nan_to_num((seen.y_mm[every] - y0) / pitch, nan=-1.0)).astype(int)
             j = np.floor(np.nan_to_num((seen.x_mm[every] - x0) / pitch, nan=-1.0)).astype(int)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from gonio_analysis.report import files
 from gonio_analysis.report.drawing import Figure
-from gonio_analysis.report.files import write_csv
 
 from gonio import measurement
 from gonio.typing import JsonObject
@@ -136,12 +135,12 @@ def write(summary: JsonObject, folder: Path) -> None:
 
 
 def _points_table(summary: JsonObject, path: Path) -> None:
-    write_csv(path, POINT_COLUMNS, _points(summary["families"]))
+    files.write_csv(path, POINT_COLUMNS, _points(summary["families"]))
 
 
 def _hard_table(summary: JsonObject, path: Path) -> None:
     hard = [c | {"models": " ".join(c["models"])} for c in summary["hard_cases"]]
-    write_csv(path, list(hard[0]), (list(c.values()) for c in hard))
+    files.write_csv(path, list(hard[0]), (list(c.values()) for c in hard))
 
 
 def _points(families: Sequence[QuantitySummary]) -> Iterator[list[object]]:

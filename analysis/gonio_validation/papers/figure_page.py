@@ -21,7 +21,6 @@ from gonio_analysis.report.blocks import (
     table,
 )
 from gonio_analysis.report.drawing import Figure, rendered
-from gonio_analysis.report.files import write_csv
 from gonio_analysis.report.section import parts
 
 from gonio.typing import JsonObject
@@ -54,7 +53,7 @@ def write(page: PaperFigure, folder: Path, command: str) -> JsonObject:
 
 
 def _curves(page: PaperFigure, path: Path) -> None:
-    write_csv(path, COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
+    files.write_csv(path, COLUMNS, [(p.name, *row) for p in page.panels for row in p.rows])
 
 
 def summarise(page: PaperFigure, command: str) -> JsonObject:

@@ -17,7 +17,6 @@ from gonio.lab.acquisition.plan import Assessed, Plan
 from gonio.lab.rig import Pose, Step, motion_planning, outlines
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.kinematics import blocked_cone
-from gonio.lab.rig.motion_planning import Blocked
 from gonio.typing import Axes, Figure
 
 COLOURS = {"light": "#e69f00", "camera": "#0072b2", "tilt": "#009e73", "spin": "#009e73", "bench": "#7f7f7f"}
@@ -137,7 +136,7 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
         ax.plot(*ends[:, view].T, color="black", lw=1.2, ls="--", label="cable, straight")
     try:
         legs = [before, *motion_planning.route(description, before, pose)] if before != pose else [pose]
-    except Blocked:  # of a rig that stands elsewhere than the plan has it
+    except motion_planning.Blocked:  # of a rig that stands elsewhere than the plan has it
         legs = [pose]
     way = [
         Pose(*((1.0 - t) * x + t * y for x, y in zip(astuple(a), astuple(b), strict=True)))

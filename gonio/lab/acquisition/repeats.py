@@ -13,9 +13,9 @@ from gonio.errors import DataError
 from gonio.lab.acquisition.exposure import SATURATED, full_scale_dn
 from gonio.lab.acquisition.records import StepRecord
 from gonio.lab.acquisition.run import Run
-from gonio.lab.rig import Frame, light_and_camera
+from gonio.lab.rig import Frame
 from gonio.lab.rig.dng import pixels_sha256, read_raw
-from gonio.lab.rig.light_and_camera import Camera
+from gonio.lab.rig.light_and_camera import Camera, deviation_dn
 from gonio.typing import NDArray
 
 IMPOSSIBLE = -50.0
@@ -47,7 +47,7 @@ def cannot_be_alike(camera: Camera, one: Frame, other: Frame) -> bool:
     change = (1.0 - shorter / longer) * float(np.sum(np.where(open_, signal, 0.0) * counts)) / mosaic.size
     if change > SHOWS_DN:
         return True
-    noise_dn = light_and_camera.deviation_dn(camera, signal * camera.electrons_per_dn, rounding=False)
+    noise_dn = deviation_dn(camera, signal * camera.electrons_per_dn, rounding=False)
     # two normal numbers of this spread, rounded, are equal with a probability of 1/(2 sqrt(pi) spread)
     rolls = open_ & (noise_dn > SMALLEST_DN)
     chances = np.where(rolls, -np.log(2.0 * math.sqrt(math.pi) * np.where(rolls, noise_dn, 1.0)), 0.0)

@@ -14,8 +14,7 @@ import numpy as np
 
 from gonio import platform
 from gonio.errors import ConfigError, DataError, DeviceError, Interrupted, PassingFault
-from gonio.lab.acquisition import exposure
-from gonio.lab.acquisition.exposure import dark_exposures_s, expected_bracket
+from gonio.lab.acquisition.exposure import dark_exposures_s, expected_bracket, expected_exposure_s
 from gonio.lab.acquisition.journal import Event
 from gonio.lab.acquisition.progress import Progress, Stop
 from gonio.lab.acquisition.run import Run
@@ -70,7 +69,7 @@ class Watch:
         self._description = rig.description
         self._rules = rig.description.suspend
         self._ask: Callable[[], Health] | None = getattr(rig, "health", None)
-        self._room_s = exposure.expected_exposure_s(rig.description, Pose(), 1.0)
+        self._room_s = expected_exposure_s(rig.description, Pose(), 1.0)
         if any(rule.quantity != ROOM_LIGHT for rule in self._rules.values()):
             there = self.readings()
             for name, rule in self._rules.items():

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from gonio.lab.acquisition import exposure
-from gonio.lab.rig import Frame, light_and_camera
+from gonio.lab.rig import Frame
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.imaging import Channel
-from gonio.lab.rig.light_and_camera import Camera, linear_dn
+from gonio.lab.rig.light_and_camera import Camera, deviation_dn, linear_dn
 from gonio.lab.rig.regions import Roi
 from gonio.typing import Array, Bools, NDArray
 
@@ -198,7 +198,7 @@ def noise(camera: Camera, first: Frame, second: Frame, region: Roi) -> Noise | N
     scaled = a * (means[1] / means[0] * second.exposure_s / first.exposure_s) if lit else a
     deviation = float(np.std(scaled - b, ddof=1)) / math.sqrt(2.0)
     level = float(b.mean())
-    expected = light_and_camera.deviation_dn(camera, level * camera.electrons_per_dn, rounding=camera.quantised)
+    expected = deviation_dn(camera, level * camera.electrons_per_dn, rounding=camera.quantised)
     u_rel = deviation / math.sqrt(a.size) / level if lit else None
     return Noise(deviation, float(expected), level, u_rel)
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from gonio.errors import DataError
 from gonio.lab.calibration.tables import read_numbers
-from gonio.lab.rig import Pose, imaging, kinematics
+from gonio.lab.rig import Pose, kinematics
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.imaging import Channel, of_channel, pixel_map
 from gonio.lab.rig.light_and_camera import Beam
@@ -84,7 +84,7 @@ def blocks(description: RigDescription, pose: Pose, mean: Floats, noise: Floats,
 
     camera = description.camera
     even = description.model_copy(update={"lamp": description.lamp.model_copy(update={"beam": None})})
-    seen = imaging.pixel_map(even, kinematics.view(description, pose))
+    seen = pixel_map(even, kinematics.view(description, pose))
     x, y = seen.beam_xy_mm
     cx, cy = description.reference.offset_mm if description.reference.how == "beside" else (0.0, 0.0)
     reach = INSIDE * 0.5 * description.reference.diameter_mm
@@ -173,7 +173,7 @@ def by_zero(description: RigDescription, table: DataFrame, found: Profile, axis:
         first = table.loc[rows[0]]
         pose = Pose(light=float(np.radians(first["light_deg"])), camera=float(np.radians(first["camera_deg"])))
         other = replace(pose, **{axis: getattr(pose, axis) - float(np.radians(ZERO_STEP_DEG))})
-        seen, then = (imaging.pixel_map(description, kinematics.view(description, p)) for p in (pose, other))
+        seen, then = (pixel_map(description, kinematics.view(description, p)) for p in (pose, other))
         block = table.loc[rows, "block"].to_numpy(int)
         at = block // width, block % width
         moved.loc[rows, "geometry"] *= (then.weight / seen.weight)[at]

@@ -18,7 +18,6 @@ from gonio.disk import content
 from gonio.errors import ConfigError, DataError, DeviceError, os_error_as
 from gonio.geometry import overlap_of_discs
 from gonio.lab.acquisition import exposure
-from gonio.lab.acquisition.exposure import MAY_BE_FULL
 from gonio.lab.by_hand.alignment_scans import BRIGHT, Scans
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.calibration import fiducials
@@ -342,7 +341,7 @@ def spot_of(light: Floats, description: RigDescription, inside: Bools | None) ->
 
     whole = binned(inside) == 1.0
     y, x = np.nonzero(whole)
-    values = binned(np.clip(light / MAY_BE_FULL, 0.0, 1.0))[whole]
+    values = binned(np.clip(light / exposure.MAY_BE_FULL, 0.0, 1.0))[whole]
     if len(values) < 30 or values.max() < BRIGHT:
         return None
     at = values > 0.5 * values.max()

@@ -14,9 +14,9 @@ from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.calibration import beam
 from gonio.lab.calibration.lamp_stability import COLUMNS
 from gonio.lab.reduction import stray_light
-from gonio.lab.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, light_and_camera, regions
+from gonio.lab.rig import Frame, Pose, Step, imaging, inverse_kinematics, kinematics, regions
 from gonio.lab.rig.description import RigDescription
-from gonio.lab.rig.light_and_camera import linear_dn, straightened
+from gonio.lab.rig.light_and_camera import deviation_dn, linear_dn, straightened
 from gonio.lab.rig.protocols import Monitors
 from gonio.typing import Array, DataFrame, Floats
 
@@ -270,4 +270,4 @@ def _noise(description: RigDescription, signal_dn: Floats | float, exposure_s: f
     """Standard deviation of a pixel [DN] from the camera alone."""
     camera = description.camera
     dark = camera.dark_current_e_per_s * exposure_s
-    return light_and_camera.deviation_dn(camera, np.asarray(signal_dn) * camera.electrons_per_dn + dark)
+    return deviation_dn(camera, np.asarray(signal_dn) * camera.electrons_per_dn + dark)

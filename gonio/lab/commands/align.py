@@ -22,7 +22,6 @@ from gonio.disk import put_picture
 from gonio.errors import ConfigError, DataError
 from gonio.lab.acquisition.measure import find_rig
 from gonio.lab.by_hand import alignment, rig_file
-from gonio.lab.by_hand.alignment import Alignment
 from gonio.lab.by_hand.alignment_scans import Scans
 from gonio.lab.by_hand.assistant import Assistant
 from gonio.lab.by_hand.manual_rig import ManualRig
@@ -123,7 +122,7 @@ def _joined(tables: list[pd.DataFrame]) -> pd.DataFrame:
     return joined
 
 
-def _show(found: Alignment, description: RigDescription) -> None:
+def _show(found: alignment.Alignment, description: RigDescription) -> None:
     table = console.table(
         "axis", "zero_offset_deg", "was", "u (k = 1)", "of it: scans", "encoder", "backlash", "departures"
     )

@@ -19,8 +19,6 @@ from gonio.errors import ConfigError, DataError
 from gonio.lab.acquisition.run import Run
 from gonio.lab.by_hand.manual_rig import ManualRig
 from gonio.lab.calibration import beam, lamp_scan, lamp_stability, polarisers, spectral
-from gonio.lab.calibration.beam import Profile
-from gonio.lab.calibration.spectral import polarised
 from gonio.lab.commands import opened
 from gonio.lab.commands.opened import free_name
 from gonio.lab.reduction.geometry_errors import zero_keys
@@ -253,7 +251,7 @@ def _beam(flats: Path, description: RigDescription, out: Path, found: _Found) ->
     )
 
 
-def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: Profile, found: _Found) -> Floats:
+def _by_zeros(description: RigDescription, table: pd.DataFrame, profile: beam.Profile, found: _Found) -> Floats:
     """Covariance of the beam's numbers from zeros of the axes, which look like a tilt of the beam.
 
     Where no calibration has measured a zero, the rig file's `zero_u_deg` counts. A tilt that exceeds that and noise
@@ -297,7 +295,7 @@ def _bands(spectra: Path | None, lines: Path | None, description: RigDescription
 
 
 def _polarisation(path: Path, found: _Found) -> None:
-    of, where = polarised(path), "lamp.polarisation"
+    of, where = spectral.polarised(path), "lamp.polarisation"
     values = {"degree": of.degree, "azimuth_deg": of.azimuth_deg}
     found.add(where, values, [f"{where}.{name}" for name in values], of.covariance)
     found.notes.append("the polarisation of the lamp is not corrected for: it is in the budget")

@@ -16,7 +16,6 @@ import typer
 
 from gonio import disk
 from gonio.cli import console
-from gonio.disk import check_writable
 from gonio.errors import ConfigError, DeviceError, Interrupted
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ def require_new(out: Path, *beside: Path) -> None:
             raise ConfigError(f"{name}: is there already; name another file with --out")
     if out.suffix != ".toml" or not out.absolute().parent.is_dir():
         raise ConfigError(f"--out {out}: must end with .toml, and lie in a folder that is there")
-    check_writable(out)  # an hour's data would have no place
+    disk.check_writable(out)  # an hour's data would have no place
 
 
 def free_name(out: Path, what: str, suffix: str) -> Path:

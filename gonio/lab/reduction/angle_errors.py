@@ -12,9 +12,9 @@ from gonio.lab.reduction.angle_sensitivity import BandCurves
 from gonio.lab.reduction.geometry_errors import zero_u_deg
 from gonio.lab.reduction.step_rates import Reduced
 from gonio.lab.reduction.values import MeasuredBand, Values
-from gonio.lab.rig import Pose, imaging, kinematics, regions
+from gonio.lab.rig import Pose, imaging, kinematics
 from gonio.lab.rig.description import Axis, RigDescription
-from gonio.lab.rig.regions import filling
+from gonio.lab.rig.regions import filling, roi
 from gonio.typing import Floats
 
 CAUSES = {
@@ -225,7 +225,7 @@ def _pixels(measured: MeasuredBand, point: Reduced) -> tuple[Floats, Floats]:
     """Unit vectors to source and detector from the pixels that a point's value is the mean of, shape (n, 3)."""
     description = measured.description
     view = kinematics.view(description, point.pose)
-    region = regions.roi(description, view, "sample", measured.band.channel)
+    region = roi(description, view, "sample", measured.band.channel)
     seen = imaging.pixel_map(description, view, region.rows, region.cols)
     omega_i, omega_r = seen.omega_i[region.mask], seen.omega_r[region.mask]
     omega_r = omega_r * (1.0, 1.0, -1.0) if view.camera_mm[2] < 0.0 else omega_r

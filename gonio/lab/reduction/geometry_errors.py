@@ -15,10 +15,10 @@ import numpy as np
 from gonio.config import numbers_in, with_numbers
 from gonio.errors import ConfigError
 from gonio.geometry import Directions, angles
-from gonio.lab.rig import Pose, Target, imaging, kinematics, regions
+from gonio.lab.rig import Pose, Target, imaging, kinematics
 from gonio.lab.rig.calibration_files import covariance_of, known_parameters
 from gonio.lab.rig.description import Axis, RigDescription
-from gonio.lab.rig.regions import filling
+from gonio.lab.rig.regions import filling, straight_through_scale
 from gonio.typing import Floats
 
 ARMS = ("zero_offset_deg", "harmonics_deg", "axis_tilt_deg", "axis_offset_mm", "elevation_deg")
@@ -161,7 +161,7 @@ class GeometryErrors:
         """
 
         def scale(rig: RigDescription) -> float:
-            return regions.straight_through_scale(rig, kinematics.view(rig, pose))
+            return straight_through_scale(rig, kinematics.view(rig, pose))
 
         known, changed = scale(self._description), [[scale(rig) for rig, _ in rigs] for rigs in self._rigs]
         return np.array(changed).reshape(-1, 2) / known

@@ -33,10 +33,9 @@ from dataclasses import replace
 import numpy as np
 
 import gonio
-from gonio import geometry
 from gonio.checks.values import CLIPPED, values_of
 from gonio.checks.verdicts import Check, FramesTaken, VisitsOfBand, of_run, of_values
-from gonio.geometry import ANGLES_DEG, SAME_AZIMUTH, Directions, half_angle_of_cone
+from gonio.geometry import ANGLES_DEG, SAME_AZIMUTH, Directions, half_angle_of_cone, solid_angle_of_cone
 from gonio.lab.acquisition.resuming import unfinished
 from gonio.lab.acquisition.run import Run
 from gonio.lab.reduction import light_and_lens, polarised, reference_table, white_reference
@@ -85,8 +84,8 @@ def assemble(frames: RunFrames, results: list[BandResult]) -> DataFrame:
     cones = (math.radians(lamp.half_angle_deg), math.radians(camera.lens_half_angle_deg))
     frame.attrs.update(
         quantity="brdf" if not behind.any() else "btdf" if behind.all() else "bsdf",
-        source_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[0])),
-        receiver_solid_angle_sr=float(geometry.solid_angle_of_cone(cones[1])),
+        source_solid_angle_sr=float(solid_angle_of_cone(cones[0])),
+        receiver_solid_angle_sr=float(solid_angle_of_cone(cones[1])),
         bands=[result.band.model_dump() for result in results],
         polarisation=words[0] if len(words := list(dict.fromkeys(frame["polarisation"]))) == 1 else ", ".join(words),
         **({"polarisers": stated} if (stated := polarised.stated(description)) and words != [UNPOLARISED] else {}),

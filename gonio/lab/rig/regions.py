@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 
 from gonio.errors import ConfigError, DeviceError
-from gonio.lab.rig import imaging
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.imaging import (
     Channel,
@@ -321,7 +320,7 @@ def cut(description: RigDescription, view: View, target: Target = "sample") -> s
     if source[2] <= 0 or eye[2] == 0:
         return ""  # other words are there for these
     half, radius, distance = 0.5 * beam, description.acquisition.roi_radius_mm, float(np.linalg.norm(source))
-    pixel = imaging.pixel_on_sample_mm(description, view)
+    pixel = pixel_on_sample_mm(description, view)
     beside = target == "reference" and description.reference.how == "beside"
     if filling(description) == "over":
         reach = max(radius, pixel) + 0.5 * pixel + (math.hypot(*description.reference.offset_mm) if beside else 0.0)
@@ -368,5 +367,5 @@ def per_weight(description: RigDescription, view: View, seen: PixelMap, region: 
     lambertian = description.lamp.radiation == "lambertian"
     solid = math.pi * squared if lambertian else 2.0 * math.pi * squared / (1.0 + math.sqrt(1.0 - squared))
     received = description.geometry.light_distance_mm**2 * solid
-    area = seen.area_mm2[region.mask] * imaging.pixels_for_each(description.camera.pattern, channel)
+    area = seen.area_mm2[region.mask] * pixels_for_each(description.camera.pattern, channel)
     return np.asarray(region.count * area / (seen.falloff[region.mask] * received))
