@@ -103,11 +103,15 @@ def residuals(
     return enough(_across(angle, width_pt), height * height_pt / (span or 1.0), most=most, keep=keep)
 
 
+DISC_PT = 135.0
+"""Radius of a disc."""
+
+
 def over_hemisphere(
-    theta: Floats, dphi: Floats, value: Floats, radius_pt: float, most: int, keep: npt.NDArray[np.bool_] | None = None
+    theta: Floats, dphi: Floats, value: Floats, most: int, keep: npt.NDArray[np.bool_] | None = None
 ) -> Ints:
     """Which directions to draw on a disc whose radius is the polar angle: the extreme values are among them."""
-    x, y = xy(dphi, np.degrees(theta) * radius_pt / 90.0)
+    x, y = xy(dphi, np.degrees(theta) * DISC_PT / 90.0)
     return np.union1d(enough(x, y, most=most, keep=keep), ends(value)).astype(np.intp)
 
 

@@ -20,7 +20,6 @@ from gonio_analysis.curves.in_plane import Curve, Line, curves, evenly, labels
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.plots import in_plane, maps, thinning
 from gonio_analysis.plots.style import FAINT, INK, WIDE, around, beside_points, columns, short, xy
-from gonio_analysis.report.detail_figures import DISC_PT
 from gonio_analysis.report.drawing import Drawing
 from gonio_analysis.report.figures import LEGEND_ROW_IN, PANEL_PT, key, legend
 
@@ -138,7 +137,7 @@ def _change_maps(c: Change, at: Observations, where: str) -> list[Drawing]:
         out.append(plane_map("map-plane", caption, d[flat], value[flat], marked[flat], kept, label, top))
     every = [g for g in groups(d.theta_i, d.phi_i, np.arange(len(at))) if np.count_nonzero(off[g]) >= 4]
     for k, g in enumerate(every[place] for place in evenly(len(every), MOST_DISCS)):
-        h = g[thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], DISC_PT, MOST_DRAWN, keep=marked[g])]
+        h = g[thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], MOST_DRAWN, keep=marked[g])]
         theta = f"θi = {np.degrees(d.theta_i[g].mean()):.1f}°"
         caption = f"Map of the hemisphere, {theta}{where}: {what}. Empty: no shared direction.{without}{_made(c)}"
         caption += thinning.words(h.size, g.size)
@@ -370,7 +369,7 @@ def _maps(c: LaboratoryComparison, at: Observations, where: str) -> list[Drawing
             out.append(plane_map(map_name, f"{said}.", d, value, far, rows, "E_n", 2.0))
         else:
             g = max(groups(d.theta_i, d.phi_i, np.arange(len(at))), key=lambda rows: rows.size)
-            g = g[thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], DISC_PT, MOST_DRAWN)]
+            g = g[thinning.over_hemisphere(d[g].theta_r, d[g].dphi, value[g], MOST_DRAWN)]
             caption = f"{said}. Hemisphere, θi = {np.degrees(d.theta_i[g].mean()):.1f}°."
             out.append(disc_map(map_name, caption, d[g], value[g], far[g], "E_n", 2.0))
     return out

@@ -21,8 +21,6 @@ from gonio_analysis.selection.compare import Dataset
 
 MOST = 3
 """Incidences that are drawn, at most."""
-DISC_PT = 135.0
-"""Radius of a disc."""
 MOST_ON_DISC = 3000
 """Values on a disc, whose markers are drawn as one picture where they are many."""
 FEWEST = 8
@@ -69,7 +67,7 @@ def _heat(d: DatasetSummary, rows: Ints, k: int, most: int) -> Drawing:
     data, theta = d.data, _theta(d, rows)
     rows = rows[data.brdf[rows] > 0]
     at = data.directions.settled_at_normal()[rows]
-    some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], DISC_PT, max(most, MOST_ON_DISC))
+    some = thinning.over_hemisphere(at.theta_r, at.dphi, data.brdf[rows], max(most, MOST_ON_DISC))
     caption = (
         f"Hemisphere, θi = {np.degrees(theta):.1f}°: {_measured(d)} BRDF over the receiver's direction; radius: θr."
         f" Cross: mirror direction; circle: source. Points were {_measured(d)}; colours between neighbours within 15°"
@@ -116,7 +114,7 @@ def _lobe(d: DatasetSummary, rows: Ints, most: int) -> Drawing:
 
     at = data.directions.settled_at_normal()[rows]
     mesh, values = maps.lobe_mesh(brdf), data.brdf[rows]
-    some = thinning.over_hemisphere(at.theta_r, at.dphi, values, DISC_PT, most)
+    some = thinning.over_hemisphere(at.theta_r, at.dphi, values, most)
     far = values[maps.beyond(mesh, values)]
     caption = (
         f"Lobe, θi = {np.degrees(theta):.1f}°: {best.name} as fitted, without a spike (mesh);"

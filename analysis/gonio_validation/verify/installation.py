@@ -10,8 +10,8 @@ import gonio
 from gonio_validation.verify.finding import Finding
 
 NEEDED = ("numpy", "scipy", "numba", "pandas", "matplotlib", "pydantic")
-FOLDERS = ("gonio", "gonio_drivers", "gonio_sim", "gonio_scenes", "gonio_analysis", "gonio_sweeps", "gonio_validation",
-           "gonio_bluesky")  # fmt: skip
+FOLDERS = ("gonio", "gonio_drivers", "gonio_bluesky", "gonio_sim", "gonio_scenes", "gonio_analysis", "gonio_sweeps",
+           "gonio_watch", "gonio_maps", "gonio_validation")  # fmt: skip
 
 
 def look(_folder: Path) -> list[Finding]:

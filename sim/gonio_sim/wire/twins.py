@@ -38,6 +38,8 @@ from gonio_sim.wire.tether import TetheredCamera
 from gonio_sim.world import InHolder, World
 
 COUNTS = 4096
+FRICTION_COUNTS = 4.0
+"""How far friction stops a servo before its goal."""
 START_DEG = {"light": -40.0, "camera": 40.0}
 """Where the arms hang when the power comes."""
 STAGE_BAUD = 115_200
@@ -204,8 +206,6 @@ class Twins:
         Where links to the ports and the camera's folder are made.
     scale
         How many times faster than wall time motion, exposures and the lamp's drift run.
-    short_counts
-        How far friction stops a servo before its goal.
     tcp
         Serve at ports of the network in place of pseudo-terminals, which not every system has.
 
@@ -223,7 +223,6 @@ class Twins:
         *,
         folder: Path,
         scale: float = 50.0,
-        short_counts: float = 4.0,
         tcp: bool = False,
     ) -> None:
         if not scale > 0:
@@ -242,7 +241,7 @@ class Twins:
         self._render = SimulatedCamera(self.world, Renderer(self.world))
         self._looking = threading.Lock()
         self.followers: dict[str, TwinArm] = {}
-        self.servos = self._built_servos(np.random.default_rng([seed, 77]), short_counts)
+        self.servos = self._built_servos(np.random.default_rng([seed, 77]))
         self.stages = self._built_stages()
         self.bus = ServoBus(self.servos.values(), self.faults)
         self.lamp: LampTwin = LAMPS[self._devices.light.dialect](description.bands.all(), self._shine, self.faults)
@@ -254,12 +253,12 @@ class Twins:
         self.peers: dict[str, SerialPeer | SocketPeer] = {}
         self._stack = contextlib.ExitStack()
 
-    def _built_servos(self, rng: np.random.Generator, short_counts: float) -> dict[str, Servo]:
+    def _built_servos(self, rng: np.random.Generator) -> dict[str, Servo]:
         """Servos by axis, changer of samples and polarisers among them, and the arms that follow them."""
         devices, out = self._devices.servos, {}
         for name, axis in devices.everything().items():
             start = axis.zero_count + self._start_deg(name) / 360 * COUNTS * axis.per_turn
-            mechanics = Mechanics(short_counts=short_counts, within=lambda: float(rng.uniform(-0.5, 0.5)))
+            mechanics = Mechanics(short_counts=FRICTION_COUNTS, within=lambda: float(rng.uniform(-0.5, 0.5)))
             servo = out[name] = Servo(
                 axis.id, self._clock, model=axis.model, baud=devices.baud, position=start, mechanics=mechanics
             )
