@@ -45,15 +45,66 @@ def environment(**more: str) -> dict[str, str]:
     return plain() | {"PYTHONIOENCODING": "cp1252", "PYTHONPATH": str(SHIM)} | more
 
 
+class Console:
+    """A process in which commands run one after the other, as on a console of its own."""
+
+    SERVES = """
+import json, os, sys
+from gonio.cli import main
+asked, sys.stdin = sys.stdin, open(os.devnull)
+for line in asked:
+    sys.argv, code = ["gonio", *json.loads(line)], 0
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code or 0
+    sys.stderr.flush()
+    sys.stdout.flush()
+    print(f"\\0{code}", file=sys.__stdout__, flush=True)
+"""
+
+    def __init__(self, folder: Path, env: dict[str, str] | None = None) -> None:
+        env = env or environment()
+        self._encoding = env.get("PYTHONIOENCODING", "utf-8")
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", self.SERVES], cwd=folder, env=env,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+
+    def __call__(self, *words: str | Path, expect: int = 0) -> str:
+        """What a command printed."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps([*map(str, words)]).encode() + b"\n")
+        self._process.stdin.flush()
+        said, line = b"", b""
+        while b"\0" not in line:
+            line = self._process.stdout.readline()
+            said += line
+            assert line, said
+        text, _, code = said.decode(self._encoding).rpartition("\0")
+        return checked(text, int(code), expect)
+
+    def __enter__(self) -> Console:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.communicate()
+
+
 def run(folder: Path, *words: str | Path, expect: int = 0, env: dict[str, str] | None = None) -> str:
-    """What a command printed; it shows no traceback."""
+    """What one command printed, in a process that ends with it."""
     env = env or environment()
     done = subprocess.run(
         [*COMMAND, *map(str, words)], cwd=folder, env=env, capture_output=True, stdin=subprocess.DEVNULL,
         timeout=HANGS_S, check=False,
     )  # fmt: skip
-    said = (done.stdout + done.stderr).decode(env.get("PYTHONIOENCODING", "utf-8"))
-    assert done.returncode == expect, said
+    return checked((done.stdout + done.stderr).decode(env.get("PYTHONIOENCODING", "utf-8")), done.returncode, expect)
+
+
+def checked(said: str, code: int, expect: int) -> str:
+    """What a command printed; it ended as it should, and shows no traceback."""
+    assert code == expect, said
     assert "Traceback" not in said
     assert "should not happen" not in said
     return said
@@ -133,22 +184,20 @@ def test_the_quick_demo(tmp_path: Path) -> None:
 
 
 def test_read_fit_compare_report_convert(files: Path) -> None:
-    run(files, *MEASURE, "--out", "run")
-    run(files, "reduce", "run")
-    run(files, "fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml")
-    run(files, "compare", "run/brdf.csv", "--models", "lambert,oren-nayar", "--out", "page")
-    run(files, "convert", "run/brdf.csv", "run.astm")
-    run(files, "convert", "run.astm", "back.csv")
+    with Console(files) as console:
+        console(*MEASURE, "--out", "run")
+        console("reduce", "run")
+        console("fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml")
+        console("compare", "run/brdf.csv", "--models", "lambert,oren-nayar", "--out", "page")
+        console("convert", "run/brdf.csv", "run.astm")
+        console("convert", "run.astm", "back.csv")
     back = measurement.read(files / "back.csv")
     assert len(back) == 12
     names = {path.name.split(".")[0] for path in files.rglob("*")}
     assert not names & {"aux", "con", "nul", "prn"}, "a sample's name became the name of a device"
-    # without the shim: the same bytes
-    done = subprocess.run(
-        [*COMMAND, *MEASURE, "--out", "other"], cwd=files, env=plain(), capture_output=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    subprocess.run([*COMMAND, "reduce", "other"], cwd=files, env=plain(), check=True)
+    with Console(files, plain()) as console:  # without the shim: the same bytes
+        console(*MEASURE, "--out", "other")
+        console("reduce", "other")
     assert (files / "run" / "brdf.csv").read_bytes() == (files / "other" / "brdf.csv").read_bytes()
 
 
@@ -184,26 +233,24 @@ def test_a_killed_run_is_taken_up_again_and_followed(files: Path, console: str) 
 
 
 def test_a_file_that_is_open_elsewhere_is_named_and_kept(files: Path) -> None:
-    run(files, *MEASURE, "--out", "run")
-    run(files, "reduce", "run")
-    fit = ("fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml")
-    run(files, *fit)
-    before = (files / "fit.toml").read_bytes()
-    with (files / "fit.toml").open("rb"):
-        said = run(files, *fit, expect=2)
-    assert "open in another program" in " ".join(said.split())
-    assert (files / "fit.toml").read_bytes() == before
-    run(files, *fit)
-    run(files, "report", "run", "--models", "lambert")
-    for opened, words in (
-        ("run/brdf.csv", ("reduce", "run")),
-        ("run/report/index.html", ("report", "run", "--models", "lambert")),
-    ):
-        before = (files / opened).read_bytes()
-        with (files / opened).open("rb"):
-            said = " ".join(run(files, *words, expect=2).split())
-        assert "in another program" in said or "used by another process" in said
-        assert (files / opened).read_bytes() == before
+    fit, report = (
+        ("fit", "run/brdf.csv", "--model", "lambert", "--save", "fit.toml"),
+        ("report", "run", "--models", "lambert"),
+    )
+    with Console(files) as console:
+        for words in ((*MEASURE, "--out", "run"), ("reduce", "run"), fit, report):
+            console(*words)
+        for opened, words in (
+            ("fit.toml", fit),
+            ("run/brdf.csv", ("reduce", "run")),
+            ("run/report/index.html", report),
+        ):
+            before = (files / opened).read_bytes()
+            with (files / opened).open("rb"):
+                said = " ".join(console(*words, expect=2).split())
+            assert "in another program" in said or "used by another process" in said
+            assert (files / opened).read_bytes() == before
+        console(*fit)
     assert not [name for at, names, more in os.walk(files) for name in names + more if name.startswith(".")]
 
 
@@ -224,9 +271,10 @@ def twins(tmp_path: Path) -> Iterator[Twins]:
 def test_the_laboratory_over_tcp(twins: Twins, files: Path) -> None:
     rig = files.parent / "rig.toml"
     assert all(peer.port.startswith("socket://127.0.0.1:") for peer in twins.peers.values())
-    run(files, "rig", "check", "--rig", rig)
-    run(files, "measure", "plan.toml", "--rig", rig, "--out", "run", "--yes")
-    run(files, "reduce", "run")
+    with Console(files) as console:
+        console("rig", "check", "--rig", rig)
+        console("measure", "plan.toml", "--rig", rig, "--out", "run", "--yes")
+        console("reduce", "run")
     assert len(measurement.read(files / "run" / "brdf.csv")) == 12
     assert twins.quiet
 
