@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from gonio_analysis.fitting.forward import apparent
+from gonio_analysis.fitting.forward import EXTREME, HIGHEST, apparent
 from gonio_analysis.fitting.observations import Observations
 from gonio_analysis.fitting.problem import Problem
 from gonio_analysis.fitting.search import derivatives
@@ -155,12 +155,8 @@ def _frames_s(record: StepRecord, overhead_s: float) -> float:
     return seconds + sum(METERING * t + overhead_s for t in metered.values())
 
 
-MOST = 0.5 * math.pi - 1e-6
-"""Polar angles [rad] are held below this where an axis is moved in thought."""
 EVEN = "even"
 """The cause that is what errors of the angles change evenly: on top of a peak they only lower a value, repeats too."""
-EXTREME = 2.6
-"""Standard deviations that an error of a zero hardly exceeds: one in a hundred does."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +209,7 @@ class Sights:
         moved = [replace(p, **{axis: getattr(p, axis) + off for axis, off in by.items()}) for p in poses]
         there = [kinematics.directions(description, pose) for pose in moved]
         theta_i, phi_i, theta_r, phi_r = Directions.stack(there).angles
-        inside = Directions(np.minimum(theta_i, MOST), phi_i, np.minimum(theta_r, MOST), phi_r)
+        inside = Directions(np.minimum(theta_i, HIGHEST), phi_i, np.minimum(theta_r, HIGHEST), phi_r)
         return replace(self.at, directions=inside), np.cos(theta_i) / np.cos(self.at.directions.theta_i)
 
     def rows(self, problem: Problem, vector: Floats) -> PredictedRows:

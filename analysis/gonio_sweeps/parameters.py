@@ -34,7 +34,7 @@ from gonio_sweeps.candidates import (
 )
 from gonio_sweeps.model_fit import MANY, SEARCHES, Known, ModelFit, ParameterSettings
 from gonio_sweeps.online import GrowingValues, Online
-from gonio_sweeps.sampler import BudgetSampler, highest, short
+from gonio_sweeps.sampler import DEAREST, EVERY_S, REPEATS, BudgetSampler, highest, short
 
 FIRST = 5
 """Points of the first covering, for each parameter; not fewer than `FEWEST`, and not more than `MOST` altogether."""
@@ -55,13 +55,9 @@ OUT_OF_REACH = 0.5
 """The same where the targets are out of reach of the budget."""
 CHEAP = 0.25
 """What is chosen for a model costs as much as this part of the candidates at most, as a rule."""
-DEAREST = 0.25
-"""Part of the time that is left which one point may take, at most."""
 HALF, LATER, LAST = 0.5, 0.95, 3
 """Part of the time that is left which a batch may take that lowers the curves' errors; and from which on it may take
 more: levels are known then."""
-REPEATS = 3
-"""Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
 DRAWS = 4
 """Parameters that are drawn from what the fit leaves open, beside its own."""
 AIM = 1.0
@@ -71,8 +67,6 @@ CLOSE = 1.5
 `gonio fit` will do it: its uncertainties decide."""
 WORST = 3.0
 """Largest ratio, up or down, of a full reduction's uncertainties to those of the quick fit that counts."""
-EVERY_S = 3.0
-"""Counted for every point beside its frames and its way [s]: a visit is work for the rig, however bright the point."""
 LEAST_GAIN = 2e-4
 """Where no point lowers the logarithm of the uncertainties by more, none adds anything."""
 

@@ -33,21 +33,15 @@ from gonio_sweeps import separation as separations
 from gonio_sweeps.candidates import candidates, spread
 from gonio_sweeps.model_fit import ModelFit, ParameterSettings
 from gonio_sweeps.online import GrowingValues, Online
-from gonio_sweeps.sampler import BudgetSampler, highest
+from gonio_sweeps.sampler import DEAREST, EVERY_S, REPEATS, BudgetSampler, highest
 from gonio_sweeps.separation import SIGMAS, Gathered
 
 FIRST = 8
 """Points of a first covering where parameters have to be fitted; nothing is known before."""
 BATCH = 8
 """Points of a batch: each ends with a visit to the reference."""
-REPEATS = 3
-"""Visits to one point in a batch, at most."""
 LEAST_WEIGHT = 0.02
 """Least weight of a rival, also of one that the values have almost ruled out: a fit may have failed."""
-DEAREST = 0.25
-"""Part of the time that is left which one point may take, at most."""
-EVERY_S = 3.0
-"""Counted for every point beside its frames and its way [s]."""
 REJECTED = 1e-4
 """A rival whose chi-square has a smaller probability describes the values as little as those that lose."""
 

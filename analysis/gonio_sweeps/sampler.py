@@ -19,6 +19,12 @@ from gonio.typing import Floats
 from gonio_sweeps import expected
 from gonio_sweeps.candidates import Candidates, places, snake
 
+DEAREST = 0.25
+"""Part of the time that is left which one point may take, at most."""
+REPEATS = 3
+"""Visits to one point in a batch, at most: what a repeat cannot tell is that the model is wrong beside it."""
+EVERY_S = 3.0
+"""Counted for every point beside its frames and its way [s]: a visit is work for the rig, however bright the point."""
 Keys = TypeVar("Keys", bound=Strict)
 
 

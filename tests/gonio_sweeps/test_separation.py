@@ -10,7 +10,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from gonio_analysis.fitting.observations import observations
-from gonio_sweeps import expected, rivals
+from gonio_sweeps import expected, rivals, sampler
 from gonio_sweeps.candidates import read
 from gonio_sweeps.online import GrowingValues
 from gonio_sweeps.rivals import Rivals
@@ -181,8 +181,8 @@ def test_a_batch_is_what_raises_chi_square_most_for_its_time(made: Rivals) -> No
     assert gain == pytest.approx(apart(picked), rel=1e-9)
     for n, chosen in enumerate(picked):
         rate = np.array([apart([*picked[:n], k]) for k in range(d.size)]) - (apart(picked[:n]) if n else 0.0)
-        rate /= seen.seconds + rivals.EVERY_S + made._ways_s
-        rate[[k for k in range(d.size) if picked[:n].count(k) == rivals.REPEATS]] = 0.0
+        rate /= seen.seconds + sampler.EVERY_S + made._ways_s
+        rate[[k for k in range(d.size) if picked[:n].count(k) == sampler.REPEATS]] = 0.0
         assert rate[chosen] == pytest.approx(rate.max(), rel=1e-7)  # differences of numbers that are 1e3 times larger
 
 

@@ -25,7 +25,7 @@ from gonio_analysis.report.blocks import (
 from gonio_analysis.report.drawing import Figure, rendered
 from gonio_analysis.report.text import slug
 from gonio_scenes.picture import Image, display
-from gonio_scenes.render import render
+from gonio_scenes.render import Step, render
 from gonio_scenes.scene import read
 
 from gonio import lost
@@ -35,8 +35,6 @@ from gonio_validation.papers.pictures import blinn, cook_torrance, htsg, oren_na
 from gonio_validation.papers.pictures.catalogue import SHOWN, TITLE, Shown, names, scene_file
 from gonio_validation.papers.pictures.sheet import contact_sheet, verdicts
 
-Step = Callable[[int, int], None]
-"""Told how much is done, of how much."""
 JPEG_QUALITY = 90
 """Quality of the pictures in the page; the PNG beside it are without loss."""
 
