@@ -105,6 +105,7 @@ class Page:
         began = time.monotonic()
         while not self.run(expression):
             assert time.monotonic() - began < patience_s, f"not within {patience_s:g} s: {expression}"
+            time.sleep(0.01)
         return time.monotonic() - began
 
     def run(self, expression: str) -> Any:
