@@ -7,6 +7,7 @@ import functools
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ built = functools.cache(papers.build)
 """Figures are built once for all that is looked at in them."""
 
 
-def judge(claims: list[Claim], expected: dict[str, bool | None]) -> None:
+def judge(claims: Sequence[Claim], expected: dict[str, bool | None]) -> None:
     """Hold each claim of a figure against what is expected of it; claims are named by words of theirs."""
     found = {}
     for claim in claims:
