@@ -14,7 +14,7 @@ import numpy as np
 
 from gonio.errors import ConfigError
 from gonio.lab.acquisition.plan import Assessed, Plan
-from gonio.lab.rig import Pose, Step, motion_planning, outlines
+from gonio.lab.rig import Pose, Step, motion_planning
 from gonio.lab.rig.description import RigDescription
 from gonio.lab.rig.kinematics import blocked_cone
 from gonio.typing import Axes, Figure
@@ -112,7 +112,7 @@ def _title(step: Step, plan: Plan, points: Sequence[Assessed], description: RigD
 def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view: tuple[int, int]) -> None:
     from matplotlib.patches import Polygon
 
-    for body, points in sorted(outlines.outlines(description, pose), key=lambda each: each[0].cable):
+    for body, points in sorted(motion_planning.outlines(description, pose), key=lambda each: each[0].cable):
         ax.add_patch(
             Polygon(
                 _hull(points, body.radius, view), closed=True, alpha=0.2 if body.cable else 0.55, lw=0.8,
@@ -132,7 +132,7 @@ def _view(ax: Axes, description: RigDescription, before: Pose, pose: Pose, view:
         beam = _hull(hull, 0.5, view)
         ax.add_patch(Polygon(beam, closed=True, fc=COLOURS[name], ec=COLOURS[name], lw=1.0, label=words))
     for cable in description.cables:
-        ends = outlines.cable_ends(description, pose, cable)
+        ends = motion_planning.cable_ends(description, pose, cable)
         ax.plot(*ends[:, view].T, color="black", lw=1.2, ls="--", label="cable, straight")
     try:
         legs = [before, *motion_planning.route(description, before, pose)] if before != pose else [pose]

@@ -352,6 +352,20 @@ def _angles(pose: Pose) -> Angles:
 # ---- light ----
 
 
+def outlines(description: RigDescription, pose: Pose) -> list[tuple[Hull, Floats]]:
+    """The two heads, the bodies, and the cables that hang, with their points in the lab, shape (n, 3) [mm]."""
+    space = _space_of(description)
+    angles = space.true_angles(_angles(pose))
+    return [(each, placed(each.on, each.points, angles, space.frames)) for each in space.shapes]
+
+
+def cable_ends(description: RigDescription, pose: Pose, cable: Cable) -> Floats:
+    """Where the two ends of a cable are in the lab, shape (2, 3) [mm]."""
+    space = _space_of(description)
+    angles = space.true_angles(_angles(pose))
+    return placed((cable.from_on, cable.to_on), (cable.from_mm, cable.to_mm), angles, space.frames)
+
+
 def beams(description: RigDescription, pose: Pose) -> tuple[Floats, Floats]:
     """The light from the lamp to what is measured of the sample, and from there to the lens: hulls of points in the
     lab, each of shape (2 `RIM`, 3) [mm]; the first half lies on the sample."""

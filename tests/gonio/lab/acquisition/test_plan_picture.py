@@ -9,7 +9,7 @@ from gonio.errors import ConfigError
 from gonio.lab.acquisition import plan_picture
 from gonio.lab.acquisition.plan import assess
 from gonio.lab.acquisition.schedule import schedule
-from gonio.lab.rig import Pose, motion_planning, outlines
+from gonio.lab.rig import Pose, motion_planning
 from gonio.lab.rig.description import ArmAxis, Arms, Body, Cable, Holder
 from tests.gonio.numpy_rig import describe, plan_in
 
@@ -58,7 +58,7 @@ def test_a_picture_counts_all_points_and_shows_the_most_crowded_step(tmp_path: P
 
 def test_a_body_is_drawn_where_it_stands() -> None:
     rig = describe(bodies=(POST, Body(name="box", on="light", centre_mm=(0, 0, 500), size_mm=(20, 40, 60))))
-    found = {body.body: (points, body.radius) for body, points in outlines.outlines(rig, Pose(light=np.pi / 2))}
+    found = {body.body: (points, body.radius) for body, points in motion_planning.outlines(rig, Pose(light=np.pi / 2))}
     box = plan_picture._hull(*found["box"], plan_picture.SIDE)
     # turned from z to x: 60 long along x around 500, 20 high around 0
     assert box.min(axis=0) == pytest.approx([470, -10])
