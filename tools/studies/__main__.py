@@ -130,24 +130,6 @@ def maps(
     _made("maps", out, quick=quick, progress=console.note)
 
 
-@app.command()
-def peers(
-    out: Annotated[Path, typer.Option(help="Folder of the page.")],
-    quick: Annotated[bool, typer.Option("--quick", help="Few pairs: errors are right, times are rough.")] = False,
-) -> None:
-    """Cook-Torrance in Dr.Jit, Mitsuba and pySCATMECH beside ours, where they are installed. Prints the page's path."""
-    _made("peers", out, quick=quick, progress=console.note)
-
-
-@app.command()
-def calls(
-    out: Annotated[Path, typer.Option(help="Folder of the page.")],
-    quick: Annotated[bool, typer.Option("--quick", help="Few repeats: times are rough.")] = False,
-) -> None:
-    """Single calls of models, handing over to threads, and the start of a process. Prints the page's path."""
-    _made("calls", out, quick=quick, progress=console.note)
-
-
 def main() -> None:
     """Run one study, and end the process with its exit code."""
     sys.argv[0] = "tools.studies"

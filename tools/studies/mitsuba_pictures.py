@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from gonio_validation.bench import peers
 
 from gonio.errors import DataError
 from gonio.typing import Floats
-from tools.studies import peers
 
 SCALAR, COMPILED = "scalar_rgb", "llvm_ad_rgb"
 """The variant that runs wherever Mitsuba does, and the one that compiles with LLVM."""

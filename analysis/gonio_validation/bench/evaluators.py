@@ -33,7 +33,7 @@ EVEN = "directions even over the hemisphere"
 
 
 def quantities() -> list[BenchQuantity]:
-    """Every quantity, with every way that runs in this process (for others see `tools/studies/peers.py`)."""
+    """Every quantity, with every way that runs in this process (for others see `gonio_validation.bench.peers`)."""
     r = reference()
     return [
         *_he_torrance(),

@@ -15,7 +15,7 @@ FLOOR = 1e-17
 """Where an error of 0 is drawn."""
 CEILING = 1e2
 """Where results that are no numbers, and larger errors, are drawn."""
-COMPARISON = "#5f6670"
+PEER, COMPARISON = "#8a5a00", "#5f6670"
 
 
 def front(points: Sequence[tuple[float, float | None]]) -> list[int]:
@@ -54,7 +54,7 @@ def draw(quantity: QuantitySummary) -> Figure:
 
     caption = (
         f"{quantity.title}: time against relative error. Numbered: largest error; bar: 99th percentile; dot: median; "
-        "line: Pareto front of the largest errors. Blue: ours; grey: comparison. "
+        "line: Pareto front of the largest errors. Blue: ours; grey: comparison; brown: peers. "
         "An error of 0 is drawn at the lower edge."
     )
     alt = f"{quantity.title}. " + " ".join(
@@ -64,7 +64,7 @@ def draw(quantity: QuantitySummary) -> Figure:
 
 
 def _colour(way: WaySummary) -> str:
-    return COLOURS[0] if way.ours else COMPARISON
+    return COLOURS[0] if way.ours else PEER if way.peer else COMPARISON
 
 
 def _said(error: float | None) -> str:

@@ -46,9 +46,10 @@ class Way:
     convert: Callable[..., tuple[Any, ...]] | None = None
     """Turns the quantity's arrays into what the function takes; not timed."""
     accurate: bool = True
-    """Whether its results are comparable (another program may compute another formula)."""
+    """Whether its results are comparable (a peer may compute another formula)."""
     stated: float | None = None
     """The relative error (times 1 + conditioning) that the way promises."""
+    peer: bool = False
 
 
 @dataclass(frozen=True)
@@ -117,11 +118,20 @@ class TimeSummary:
 
 
 @dataclass(frozen=True)
+class PeerTime(TimeSummary):
+    """The same of a peer, in a process of its own."""
+
+    threads: int | None
+    """Threads of its process, idle ones included; None where the system does not say."""
+
+
+@dataclass(frozen=True)
 class WaySummary:
     """Errors and times of one way of evaluating a quantity."""
 
     way: str
     ours: bool
+    peer: bool
     note: str
     stated: float | None
     """The accuracy that it promises: relative error over 1 + conditioning."""

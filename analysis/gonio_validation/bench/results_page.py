@@ -1,4 +1,4 @@
-"""`index.html` of `gonio bench models`: which model will do, a section a quantity, hard cases, machine."""
+"""`index.html` of `gonio bench models`: which model will do, a section a quantity, hard cases, calls, machine."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -10,6 +10,7 @@ from gonio_analysis.report.blocks import (
     Heading,
     Page,
     Paragraph,
+    code,
     facts,
     footer,
     table,
@@ -31,7 +32,7 @@ from gonio_validation.bench.page import (
     two_digits,
     verdict,
 )
-from gonio_validation.bench.quantity import QuantitySummary
+from gonio_validation.bench.quantity import PeerTime, QuantitySummary
 
 FOOTER = footer(
     "Every number on this page is in `summary.json`; points and hard cases are in `tables/`, the figures as SVG and "
@@ -70,6 +71,14 @@ HARD = TableSection(
     ),
     (2, 3, 4, 5, 6, 7),
 )  # fmt: skip
+SINGLE = (
+    Column("model", "model"), Column("call", "call", code), Column("best µs", "best_us", number),
+    Column("median µs", "median_us", number),
+)  # fmt: skip
+START = (
+    Column("first model", "model"), Column("import gonio.models", "import_s", number),
+    Column("first evaluation", "first_evaluation_s", number), Column("together", "together_s", number),
+)  # fmt: skip
 
 
 def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
@@ -95,7 +104,8 @@ def render(s: JsonObject, figures: Sequence[Figure]) -> Page:
     made_of: dict[str, Part] = {'section "Which model"': partial(_which_model, s), 'section "Accuracies"': accuracies}
     made_of[f'section "{HARD.title}"'] = lambda: of_part(s, HARD, held(s["hard_cases"], _holds))
     for q in s["families"]:
-        made_of[f'section "{q.title}"'] = partial(of_quantity, q, drawn.get(q.name))
+        made_of[f'section "{q.title}"'] = partial(_quantity, q, drawn.get(q.name))
+    made_of |= {'section "Calls and start-up"': partial(_calls, s), 'section "Peers"': partial(_peers, s)}
     folds = [*parts(made_of), *_method(s)]
     ratios = partial(listed, s["ratios"], RATIOS, (1,))
     picture = [Figures((drawn["which-model"],))] if "which-model" in drawn else []
@@ -147,8 +157,7 @@ def _which_model(s: JsonObject) -> list[Block]:
     return part("Which model will do?", f"{len(tables[0].rows)} forms", words, *tables, *lost)
 
 
-def of_quantity(q: QuantitySummary, figure: Figure | None) -> list[Block]:
-    """The section of one quantity."""
+def _quantity(q: QuantitySummary, figure: Figure | None) -> list[Block]:
     header = ["way", "best ns", "median", "processor"]
     header += [what for kind in q.sets for what in (f"{kind}: largest", "99 %", "median")]
     rows, k = [], 0
@@ -171,6 +180,43 @@ def of_quantity(q: QuantitySummary, figure: Figure | None) -> list[Block]:
         table("", header, rows, right=right, marks=marks),
         facts((w.way, w.note) for w in q.ways if w.note),
     ]
+
+
+def _calls(s: JsonObject) -> list[Block]:
+    fresh = "Seconds in a fresh process, compiled code already cached; the import loads no numba."
+    slowest = max((row["together_s"] for row in s["start_up"]), default=0.0)
+    return [
+        Heading(3, "Calls and start-up", f"the first value within {number(slowest, 2)} s"),
+        _hand_over(s["hand_over"]),
+        listed(s["single_calls"], SINGLE, (2, 3), "One geometry from Python."),
+        listed(s["start_up"], START, (1, 2, 3), fresh),
+    ]
+
+
+def _hand_over(h: JsonObject | None) -> Paragraph:
+    if h is None:
+        return Paragraph("This process may use one processor only: no call is handed to a second thread.")
+    return Paragraph(
+        f"A call of {h['pairs']} pairs or more is shared by threads. To hand half of it over costs"
+        f" {number(h['hand_over_us'], 2)} µs: {h['model']} takes {number(h['shared_us'])} µs for {h['pairs']} pairs on"
+        f" two threads, and {number(h['half_alone_us'])} µs for half as many on one (medians of {h['repeats']} calls in"
+        f" turn). That is {100 * h['share']:.0f} % of the smallest shared call, and the less the larger a call is."
+    )
+
+
+def _peers(s: JsonObject) -> list[Block]:
+    threads = [
+        (w.way, f"{w.time.threads} threads in its process")
+        for q in s["families"]
+        for w in q.ways
+        if isinstance(w.time, PeerTime) and w.time.threads
+    ]
+    words = (
+        "Each peer is measured in a process of its own, after our ways: idle workers that spin would slow down what is"
+        " measured beside them. Its wall-clock times count; its processor time may leave out threads of its own."
+    )
+    states = [(p["peer"], p["state"]) for p in s["peers"]]
+    return part("Peers", ", ".join(p["peer"] for p in s["peers"]) or "none", words, facts([*states, *threads]))
 
 
 def _method(s: JsonObject) -> list[Block]:

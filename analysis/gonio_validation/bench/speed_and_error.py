@@ -9,18 +9,9 @@ from gonio_analysis.report.drawing import Figure
 
 from gonio import measurement
 from gonio.typing import JsonObject
-from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, results_page, timing, which_model
+from gonio_validation.bench import accuracy, evaluators, hard_cases, pareto, peers, results_page, timing, which_model
 from gonio_validation.bench.page import begun
-from gonio_validation.bench.quantity import (
-    BenchQuantity,
-    ErrorSummary,
-    QuantitySummary,
-    Set,
-    TimeSummary,
-    Way,
-    WaySummary,
-    reference,
-)
+from gonio_validation.bench.quantity import BenchQuantity, PeerTime, QuantitySummary, Set, WaySummary, reference
 
 POINT_COLUMNS = (
     *("family", "way", "ours", "set", "points", "max", "p99", "median", "max_scaled", "not_finite", "warning"),
@@ -78,6 +69,7 @@ def collect(
     """Every number of the report, as `summary.json` holds it; parameters as `make`."""
     effort = timing.Effort(20_000, 3, 0.02) if quick else timing.Effort(1_000_000, 9, 0.4)
     started = timing.machine()
+    states, others = peers.find()
     samples = (
         which_model.built_in() if sample is None else [which_model.Sample(Path(sample).stem, measurement.read(sample))]
     )
@@ -85,12 +77,15 @@ def collect(
     found = evaluators.quantities()
     rows = []
     for quantity in found:
-        progress(f"{quantity.title}: {len(quantity.ways)} ways")
-        taken = timing.times(quantity, effort)
-        errors = [accuracy.by_set(quantity, way) for way in quantity.ways]
-        rows.append(ranked(quantity, quantity.ways, errors, [taken[way.name] for way in quantity.ways]))
+        here = others if quantity.name == peers.QUANTITY else []
+        progress(f"{quantity.title}: {len(quantity.ways) + len(here)} ways")
+        rows.append(_measured(quantity, here, effort))
     progress("hard cases")
     cases = hard_cases.judged(found, 200_000 if quick else 4_000_000)
+    progress("single calls and start-up")
+    single = timing.single_calls(200 if quick else 3000)
+    handed = timing.hand_over(50 if quick else 1000)
+    start = timing.start_up(1 if quick else 4)
     return begun("Models: speed against error", command, quick) | {
         "machine": started,
         "reference": reference().made,
@@ -99,16 +94,20 @@ def collect(
         "which_model": chosen,
         "tolerances": tolerances(rows),
         "hard_cases": cases,
+        "single_calls": single,
+        "hand_over": handed,
+        "start_up": start,
+        "peers": states,
     }
 
 
-def ranked(
-    quantity: BenchQuantity,
-    ways: Sequence[Way],
-    errors: Sequence[dict[Set, ErrorSummary]],
-    times: Sequence[TimeSummary],
-) -> QuantitySummary:
-    """Errors and times of all ways, and which of them are on the Pareto fronts."""
+def _measured(quantity: BenchQuantity, others: Sequence[peers.PeerProgram], effort: timing.Effort) -> QuantitySummary:
+    """Errors and times of all ways, those of peers included."""
+    taken = timing.times(quantity, effort)
+    ways = [*quantity.ways, *(peer.way for peer in others)]
+    apart = [peers.measured(peer, effort) for peer in others]
+    errors = [*(accuracy.by_set(quantity, way) for way in quantity.ways), *(m.errors for m in apart)]
+    times = [*(taken[way.name] for way in quantity.ways), *(m.time for m in apart)]
 
     def front(kind: Set) -> list[int]:
         found = (e.get(kind) for e in errors)
@@ -116,7 +115,7 @@ def ranked(
 
     grid, hard = front("grid"), front("hard")
     summaries = [
-        WaySummary(way.name, way.ours, way.note, way.stated, e, time, k in grid, k in hard)
+        WaySummary(way.name, way.ours, way.peer, way.note, way.stated, e, time, k in grid, k in hard)
         for k, (way, e, time) in enumerate(zip(ways, errors, times, strict=True))
     ]
     return QuantitySummary(quantity.name, quantity.title, quantity.about, quantity.inputs, summaries)
@@ -163,9 +162,11 @@ def ratios(quantities: Sequence[QuantitySummary]) -> list[JsonObject]:
     for name, slow, fast in COMPARED:
         times = ways.get(name, {})
         if slow in times and fast in times:
-            # by processor time, as wall-clock times of a busy machine have no ratio
-            ratio = times[slow].processor_ns / times[fast].processor_ns
-            out.append({"what": f"{titles[name]}: {slow} / {fast}", "ratio": ratio, "of": "processor_ns"})
+            # by processor time, as wall-clock times of a busy machine have no ratio; but what Dr.Jit's threads take is
+            # not in its processor time
+            kind = "best_ns" if isinstance(times[slow], PeerTime) else "processor_ns"
+            ratio = getattr(times[slow], kind) / getattr(times[fast], kind)
+            out.append({"what": f"{titles[name]}: {slow} / {fast}", "ratio": ratio, "of": kind})
     return out
 
 
@@ -173,6 +174,7 @@ COMPARED = (
     ("he-torrance common", "64 terms", "ours, tolerance 1e-12"),
     ("he-torrance whole", "64 terms", "ours, tolerance 1e-12"),
     ("cook-torrance", "plain numpy", "ours, vectors"),
+    ("cook-torrance", "Dr.Jit, float64", "ours, vectors"),
     ("oren-nayar exact", "exact", "functional"),
 )
 """Quantity, and two ways whose times are divided."""

@@ -166,18 +166,21 @@ def papers_pictures(folder: Path) -> Page:
 
 def told_of_models(ways: int = 1) -> dict[str, Any]:
     time = TimeSummary(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1)
-    way = WaySummary("exact", True, "as printed", 1e-12, {}, time, True, False)
+    way = WaySummary("exact", True, False, "as printed", 1e-12, {}, time, True, False)
     chosen = Compared("clay", [Candidate("Phong", 0.1, 4.0, 0.0, True)], {"Blinn": "too few values"})
     fine = {"points": 3, "holds": True}
     none = dict.fromkeys(("nan", "infinite", "negative"), 0)
     digits = {"expected_digits": 15.0, "achieved_digits": 15.5, "warning": False, "note": ""}
     hard = {"case": "normal incidence", "models": ["phong"], **digits, **none, **fine}
     loose = {"family": "phong", "way": "exact", "stated": 1e-12, "worst": 1e-13, **fine}
+    start = {"model": "Phong", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
     return {
         "title": "Speed and error", **MADE, "quick": True, "machine": timing.machine(), "hard_cases": [hard],
         "tolerances": [loose],
         "ratios": [{"what": "phong", "ratio": 3.0, "of": "processor_ns"}], "which_model": [chosen],
         "families": [QuantitySummary("phong", "Phong", "A lobe.", "pairs", [way] * ways)],
+        "hand_over": None, "start_up": [start], "peers": [{"peer": "nobody", "state": "not installed"}],
+        "single_calls": [{"model": "phong", "call": "brdf()", "best_us": 1.0, "median_us": 2.0}],
         "reference": {"made_by": "a tool", "with": "60 digits", "grid": "even", "condition": "relative"},
     }  # fmt: skip
 

@@ -6,24 +6,32 @@ import csv
 import json
 import math
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import mpmath as mp
 import numpy as np
 import pytest
+from gonio_analysis.report.blocks import plain
+from gonio_analysis.result_records import as_json
 from gonio_validation.bench import (
     accuracy,
     evaluators,
     hard_cases,
     pareto,
+    peers,
+    results_page,
     speed_and_error,
+    timing,
     which_model,
 )
 from gonio_validation.bench.quantity import (
     BenchQuantity,
     BenchSample,
     ErrorSummary,
+    PeerTime,
     TimeSummary,
     Way,
     WaySummary,
@@ -31,6 +39,8 @@ from gonio_validation.bench.quantity import (
 )
 from typer.testing import CliRunner
 
+from gonio.errors import DataError
+from gonio.models import engine
 from tools.studies import bench_reference as made
 
 ONES = np.ones(4)
@@ -112,6 +122,9 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     case.add("cook-torrance", 1.0, 1.0, 0.0, 13.0)
     monkeypatch.setattr(hard_cases, "judged", lambda found, huge: [case.summary("normal incidence")])
     monkeypatch.setattr(which_model, "FORMS", [f for f in which_model.FORMS if f.label in ("Lambert", "EON")])
+    start = {"model": "CookTorrance", "import_s": 0.1, "first_evaluation_s": 0.5, "together_s": 0.6}
+    monkeypatch.setattr(timing, "start_up", lambda repeats: [start])
+    monkeypatch.setattr(peers, "PACKAGES", {"nobody": "gonio_nobody"})
 
 
 @pytest.mark.usefixtures("few")
@@ -142,6 +155,7 @@ def test_report(tmp_path: Path) -> None:
         assert sample["sample"] in page
     flat, rough = matt["candidates"]
     assert rough["misfit"] < flat["misfit"]  # EON is a model of rough matt surfaces, and Lambert's law at sigma = 0
+    assert summary["peers"] == [{"peer": "nobody", "state": "not installed"}]
     steps = summary["families"][1]["ways"][2:]
     errors = [w["errors"]["grid"]["max"] for w in steps]
     assert errors == sorted(errors, reverse=True)  # each Newton step is better than the one before
@@ -166,8 +180,67 @@ def test_which_model_is_said_by_misfit_and_cost() -> None:
 def test_a_tolerance_that_is_missed_is_said() -> None:
     error = ErrorSummary(3, max=1e-11, p99=1e-12, median=1e-13, max_scaled=1e-11, not_finite=0, warning=False)
     time = TimeSummary(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1)
-    missed = WaySummary("w", True, "", 1e-12, {"grid": error}, time, True, False)
+    missed = WaySummary("w", True, False, "", 1e-12, {"grid": error}, time, True, False)
     assert not speed_and_error.holds(missed, 1e-12)
     assert speed_and_error.holds(missed, 1e-11)
     lost = replace(missed, errors={"grid": replace(error, max_scaled=None)})
     assert not speed_and_error.holds(lost, 1e-11)
+
+
+def test_a_peer_is_measured_in_its_own_process(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the peer's process prints is what is measured here; a peer's program never runs in this process."""
+    quantity = next(q for q in evaluators.quantities() if q.name == peers.QUANTITY)
+    one, effort = quantity.ways[0], timing.Effort(pairs=1000, repeats=2, budget_s=0.01)
+    monkeypatch.setattr(peers, "_ways", lambda: {"somebody": one})
+    peers.report("somebody", effort)
+    printed = capsys.readouterr().out
+    found = json.loads(printed)
+    assert found["errors"] == json.loads(json.dumps(as_json(accuracy.by_set(quantity, one))))
+    assert found["time"]["pairs"] == 1000
+    assert found["time"]["best_ns"] > 0
+    started: list[str] = []
+
+    def process(code: str, environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str]:
+        started.append(f"{environment} {code}")
+        return subprocess.CompletedProcess([], 0, stdout=f"a library speaks\n{printed}", stderr="")
+
+    monkeypatch.setattr(peers, "process", process)
+    peer = peers.PeerProgram("somebody", one, {"WITH": "this"})
+    assert as_json(peers.measured(peer, effort)) == found
+    assert len(started) == 1
+    assert "WITH" in started[0]
+    assert "pairs=1000" in started[0]
+
+
+def test_a_peers_threads_are_in_its_row() -> None:
+    time = PeerTime(best_ns=1.0, median_ns=1.0, processor_ns=1.0, pairs=3, repeats=1, threads=None)
+    row = as_json(WaySummary("w", False, True, "", None, {}, time, False, False))
+    assert row["time"] == {**as_json(TimeSummary(1.0, 1.0, 1.0, 3, 1)), "threads": None}
+
+
+def test_a_peer_whose_process_fails_is_named() -> None:
+    peer = peers.PeerProgram("nobody", evaluators.quantities()[0].ways[0], {})
+    with pytest.raises(DataError, match="nobody: its process failed while it was measured: KeyError"):
+        peers.measured(peer, timing.Effort(pairs=1000, repeats=1, budget_s=0.01))
+
+
+def test_looking_for_peers_brings_none_into_this_process() -> None:
+    code = (
+        "import sys\nfrom gonio_validation.bench import peers\npeers.find()\n"
+        "print(sorted({'drjit', 'mitsuba', 'pySCATMECH'} & sys.modules.keys()))"
+    )
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert made.stdout.strip() == "[]"
+
+
+@pytest.mark.skipif(engine.threads() < 2, reason="one processor: no call is shared")
+def test_the_hand_over_is_what_half_a_call_does_not_explain() -> None:
+    found = timing.hand_over(20)
+    assert found is not None
+    assert found["pairs"] == 2 * engine.SPLIT
+    assert found["hand_over_us"] == max(found["shared_us"] - found["half_alone_us"], 0.0)
+    assert 0.0 <= found["share"] < 1.0
+    assert f"{found['pairs']} pairs" in plain(results_page._hand_over(found).text)
+    assert "one processor" in plain(results_page._hand_over(None).text)

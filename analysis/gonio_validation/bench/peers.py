@@ -1,4 +1,4 @@
-"""Cook and Torrance's model in other people's programs, where they are installed (extra `[peers]`), beside ours.
+"""Other people's programs on the same inputs, where they are installed (extra `[peers]`).
 
 Each peer runs in a process of its own, one after the other, and never in the one that measures our ways: the idle
 workers of Dr.Jit and Mitsuba spin and slow down what is measured after them, and both end the whole process where they
@@ -10,38 +10,29 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gonio_analysis.report import files, frame
-from gonio_analysis.report.blocks import Heading, Page, Paragraph, facts, footer, lead
-from gonio_analysis.report.drawing import Figure
-from gonio_analysis.report.text import number
-from gonio_validation.bench import accuracy, pareto, timing
-from gonio_validation.bench.evaluators import quantities
-from gonio_validation.bench.page import begun, made, method
-from gonio_validation.bench.quantity import (
-    BenchQuantity,
-    ErrorSummary,
-    Evaluate,
-    Parameters,
-    Set,
-    TimeSummary,
-    Way,
-    directions,
-    to_angles,
-)
-from gonio_validation.bench.results_page import of_quantity
-from gonio_validation.bench.speed_and_error import ranked
 from pydantic import TypeAdapter
 
 from gonio.errors import DataError
 from gonio.typing import Floats, JsonObject
+from gonio_validation.bench import accuracy, timing
+from gonio_validation.bench.evaluators import quantities
+from gonio_validation.bench.quantity import (
+    ErrorSummary,
+    Evaluate,
+    Parameters,
+    PeerTime,
+    Set,
+    Way,
+    directions,
+    to_angles,
+)
 
 PACKAGES = {"Dr.Jit": "drjit", "Mitsuba": "mitsuba", "pySCATMECH": "pySCATMECH"}
 LLVM = "DRJIT_LIBLLVM_PATH"
@@ -62,74 +53,12 @@ class MeasuredPeer:
     """Errors by set, and times, of a peer: what its process prints as JSON."""
 
     errors: dict[Set, ErrorSummary]
-    time: TimeSummary
-    threads: int | None
-    """Threads of its process, idle ones included; None where the system does not say."""
+    time: PeerTime
 
 
 MEASURED = TypeAdapter(MeasuredPeer)
-FOOTER = footer("Every number on this page is in `summary.json`.")
-OURS = "ours, vectors"
-"""What the times of others are divided by."""
-
-
-def make(
-    out: str | Path, *, quick: bool = False, command: str = "", progress: Callable[[str], None] = lambda text: None
-) -> Path:
-    """Measure our ways and the peers that work here, and write the page; where its `index.html` is.
-
-    Parameters
-    ----------
-    out
-        Folder of the page; an earlier one there is replaced.
-    quick
-        Fewer pairs and repeats: errors are the same, times are rough.
-    command, progress
-        The command line, for the record; called with a line before each step.
-    """
-    effort = timing.Effort(20_000, 3, 0.02) if quick else timing.Effort(1_000_000, 9, 0.4)
-    with files.staged(out) as stage:
-        states, others = find()
-        quantity = _quantity()
-        progress(f"{quantity.title}: {len(quantity.ways)} ways of ours, {len(others)} peers")
-        taken = timing.times(quantity, effort)
-        apart = [measured(peer, effort) for peer in others]
-        ways = [*quantity.ways, *(peer.way for peer in others)]
-        errors = [*(accuracy.by_set(quantity, way) for way in quantity.ways), *(m.errors for m in apart)]
-        found = ranked(quantity, ways, errors, [*(taken[way.name] for way in quantity.ways), *(m.time for m in apart)])
-        ratios = {peer.way.name: m.time.best_ns / taken[OURS].best_ns for peer, m in zip(others, apart, strict=True)}
-        summary = begun(f"{quantity.title}: other programs", command, quick) | {
-            "machine": timing.machine(), "peers": states, "families": [found], "ratios": ratios,
-            "threads": {peer.way.name: m.threads for peer, m in zip(others, apart, strict=True)},
-        }  # fmt: skip
-        files.write_page(
-            stage.work, summary["title"], partial(_page, summary), lambda _: summary, lambda: [pareto.draw(found)]
-        )
-    return Path(out) / "index.html"
-
-
-def _page(s: JsonObject, figures: Sequence[Figure]) -> Page:
-    words = (
-        "Each peer is measured in a process of its own, after our ways: idle workers that spin would slow down what is"
-        " measured beside them. Its wall-clock times count; its processor time may leave out threads of its own."
-    )
-    states = [(one["peer"], one["state"]) for one in s["peers"]]
-    threads = [(name, f"{count} threads in its process") for name, count in s["threads"].items() if count]
-    said = [f"{name} takes {number(ratio, 2)} times as long as {OURS}" for name, ratio in s["ratios"].items()]
-    folds = [
-        *(block for q in s["families"] for block in of_quantity(q, figures[0] if figures else None)),
-        Heading(3, "Peers", f"{len(s['ratios'])} of {len(states)} measured"),
-        Paragraph(words, "note"),
-        facts([*states, *threads]),
-        *method(s),
-    ]
-    first = frame.answer([lead("; ".join(said) or "No other program is installed here.")], [], [])
-    return frame.page(s["title"], made(s, ""), first, folds=folds, foot=FOOTER)
-
-
-def _quantity() -> BenchQuantity:
-    """What the peers evaluate."""
-    return next(one for one in quantities() if one.name == "cook-torrance")
+QUANTITY = "cook-torrance"
+"""What the peers evaluate."""
 
 
 def find() -> tuple[list[JsonObject], list[PeerProgram]]:
@@ -155,7 +84,7 @@ def measured(peer: PeerProgram, effort: timing.Effort) -> MeasuredPeer:
         The process failed.
     """
     code = (
-        "from tools.studies import peers; from gonio_validation.bench.timing import Effort; "
+        "from gonio_validation.bench import peers; from gonio_validation.bench.timing import Effort; "
         f"peers.report({peer.name!r}, {effort!r})"
     )
     made = process(code, peer.environment, timeout=600)
@@ -168,9 +97,10 @@ def measured(peer: PeerProgram, effort: timing.Effort) -> MeasuredPeer:
 def report(peer: str, effort: timing.Effort) -> None:
     """In the peer's own process: measure it, and print errors and times as JSON."""
     way = _ways()[peer]
-    errors = accuracy.by_set(_quantity(), way)
-    taken = timing.times(replace(_quantity(), ways=(way,)), effort)[way.name]
-    print(MEASURED.dump_json(MeasuredPeer(errors, taken, _threads())).decode())
+    quantity = next(q for q in quantities() if q.name == QUANTITY)
+    errors = accuracy.by_set(quantity, way)
+    taken = timing.times(replace(quantity, ways=(way,)), effort)[way.name]
+    print(MEASURED.dump_json(MeasuredPeer(errors, PeerTime(**vars(taken), threads=_threads()))).decode())
 
 
 def _threads() -> int | None:
@@ -186,6 +116,7 @@ def _ways() -> dict[str, Way]:
             _drjit,
             note="the same formula, LLVM backend, columns already its own, nothing checked",
             convert=_to_drjit,
+            peer=True,
         ),
         "Mitsuba": Way(
             "Mitsuba roughconductor, float32",
@@ -193,12 +124,14 @@ def _ways() -> dict[str, Way]:
             note="one slope, Smith's shadowing, times cos θr: time only",
             convert=_to_mitsuba,
             accurate=False,
+            peer=True,
         ),
         "pySCATMECH": Way(
             "pySCATMECH",
             _scatmech,
             note="Shadowed_Facet_BRDF_Model, Torrance-Sparrow shadowing; a call a geometry",
             convert=to_angles,
+            peer=True,
         ),
     }
 
@@ -239,7 +172,7 @@ def llvm_libraries() -> Iterator[dict[str, str]]:
 
 
 def _works(peer: str, environment: dict[str, str]) -> bool:
-    made = process(f"from tools.studies import peers; peers.probe({peer!r})", environment, timeout=120)
+    made = process(f"from gonio_validation.bench import peers; peers.probe({peer!r})", environment, timeout=120)
     return made is not None and made.returncode == 0
 
 
