@@ -22,7 +22,7 @@ from gonio_sim.wire.twins import Twins
 
 from gonio.errors import DeviceError, PassingFault
 from gonio.lab.acquisition.run import Run
-from tests.command_line import some
+from tests.command_line import gonio, some
 from tests.gonio.numpy_rig import plan_in
 from tests.gonio_drivers.conftest import COMMAND, LONGEST_S, by_hand, written
 from tests.gonio_drivers.test_lab import PLAN, assert_true
@@ -42,6 +42,7 @@ QUICK = (
     f"guard.LOOK_S = 0.2; {COMMAND[-1]}"
 )
 """The command with short waits."""
+MEASURE = ("measure", "plan.toml", "--rig", "my.toml", "--out", "run", "--yes")
 PHASES = ["dark frames", "warm-up", "exposure", "move", "darkening"]
 STRUCK = [*((phase, signal.SIGKILL) for phase in PHASES), *((phase, signal.SIGSTOP) for phase in PHASES[1:4:2])]
 """Killed in every phase, and stopped where the lamp warms up and where an arm moves: each takes seconds."""
@@ -140,19 +141,17 @@ class Struck:
         """The process, once it is struck; it is ended at the end. `held`: the twin waits for `goes_on` then."""
         if not held:
             self.goes_on.set()
-        with self._started() as child:
+        with self._log.open("w") as log:
+            self.child = child = subprocess.Popen(
+                [*COMMAND[:2], QUICK, *MEASURE], stderr=log, text=True, cwd=self.folder
+            )
+        with child:
             try:
                 self.until(lambda: self.struck_s < math.inf)
                 yield child
             finally:
                 self.goes_on.set()
                 child.kill()
-
-    def _started(self, *words: str) -> subprocess.Popen[str]:
-        command = [*COMMAND[:2], QUICK, "measure", "plan.toml", "--rig", "my.toml", "--out", "run", "--yes", *words]
-        with self._log.open("w") as log:
-            self.child = subprocess.Popen(command, stderr=log, text=True, cwd=self.folder)
-        return self.child
 
     def ends(self, code: int = 0) -> None:
         """It ends by itself, with this exit code."""
@@ -169,8 +168,7 @@ class Struck:
     def measured(self, *, resume: bool = False) -> None:
         """The lamp is dark, and the whole table is right; of a killed program once its run is resumed."""
         if resume:
-            with self._started("--resume"):
-                self.ends()
+            gonio(self.folder, *MEASURE, "--resume", expect=0)
         assert not self.twins.lamp.shine.lit
         assert_true(Run.open(self.folder / "run"), 4)
 

@@ -18,14 +18,16 @@ import pytest
 from gonio_sim.wire.twins import Twins, rig_file
 
 from gonio import measurement
-from tests.gonio_drivers.conftest import SAMPLE, small
+from tests.gonio_drivers.conftest import PATIENT, SAMPLE, patient_dialect, small
 
 pytestmark = pytest.mark.portable
 
 SHIM = Path(__file__).with_name("shim")
 HANGS_S = 600.0
 """A command that takes longer than this hangs."""
-COMMAND = [sys.executable, "-c", "from gonio.cli import main; main()"]
+PATIENT_FIRST = "import os; exec(os.environ.get('GONIO_PATIENT', '')); from gonio.cli import main"
+"""The command, which waits for twins in this process however long that is held up."""
+COMMAND = [sys.executable, "-c", f"{PATIENT_FIRST}; main()"]
 SAMPLE_TOML = 'name = "aux"\nmodel = "lambert"\n[parameters]\nalbedo = 0.5\n'
 PLAN = """name = "small"
 wavelength_nm = [550]
@@ -48,9 +50,9 @@ def environment(**more: str) -> dict[str, str]:
 class Console:
     """A process in which commands run one after the other, as on a console of its own."""
 
-    SERVES = """
-import json, os, sys
-from gonio.cli import main
+    SERVES = f"""
+import json, sys
+{PATIENT_FIRST}
 asked, sys.stdin = sys.stdin, open(os.devnull)
 for line in asked:
     sys.argv, code = ["gonio", *json.loads(line)], 0
@@ -60,7 +62,7 @@ for line in asked:
         code = end.code or 0
     sys.stderr.flush()
     sys.stdout.flush()
-    print(f"\\0{code}", file=sys.__stdout__, flush=True)
+    print(f"\\0{{code}}", file=sys.__stdout__, flush=True)
 """
 
     def __init__(self, folder: Path, env: dict[str, str] | None = None) -> None:
@@ -262,8 +264,10 @@ def test_a_name_that_cannot_be_had_is_said(files: Path, name: str) -> None:
 
 
 @pytest.fixture
-def twins(tmp_path: Path) -> Iterator[Twins]:
+def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Twins]:
+    monkeypatch.setenv("GONIO_PATIENT", PATIENT)
     with Twins(small(), SAMPLE, 3, folder=tmp_path / "twin", scale=20.0, tcp=True) as served:
+        served.world.description.devices["light"]["dialect"] = str(patient_dialect(tmp_path))
         (tmp_path / "rig.toml").write_text(rig_file(served.description), encoding="utf-8")
         yield served
 

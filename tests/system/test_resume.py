@@ -64,14 +64,14 @@ def steps_in(files: Path, out: str) -> list[int]:
 
 
 @pytest.mark.slow
-def test_killed_run_resumes_to_the_same_table(gonio: Command, here: Command, files: Path) -> None:
-    gonio(*MEASURE, "--out", "whole")
+def test_killed_run_resumes_to_the_same_table(here: Command, files: Path) -> None:
+    here(*MEASURE, "--out", "whole")
     for steps in (2, 5, 9):
         more = ["--resume"] if (files / "cut" / "journal.jsonl").exists() else []
         assert kill_after(files, "cut", steps, signal.SIGKILL, *more) == -signal.SIGKILL
     with (files / "cut" / "journal.jsonl").open("ab") as journal:
         journal.write(b'{"torn')
-    gonio(*MEASURE, "--out", "cut", "--resume")
+    here(*MEASURE, "--out", "cut", "--resume")
     assert steps_in(files, "cut") == steps_in(files, "whole")
     for out in ("whole", "cut"):
         here("reduce", out)
@@ -84,10 +84,10 @@ def test_killed_run_resumes_to_the_same_table(gonio: Command, here: Command, fil
 
 
 @pytest.mark.slow
-def test_interrupt_finishes_the_step_and_exits_130(gonio: Command, files: Path) -> None:
+def test_interrupt_finishes_the_step_and_exits_130(here: Command, files: Path) -> None:
     assert kill_after(files, "run", 3, signal.SIGINT) == 130
     assert len(steps_in(files, "run")) >= 3
-    gonio(*MEASURE, "--out", "run", "--resume")
+    here(*MEASURE, "--out", "run", "--resume")
     assert len(set(steps_in(files, "run"))) == len(steps_in(files, "run"))
 
 
