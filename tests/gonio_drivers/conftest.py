@@ -228,8 +228,8 @@ def twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixtu
 
 
 PATIENT = (
-    "from gonio_drivers import folder_camera, motion, sdk; "
-    f"folder_camera.RELEASE_S = motion.GRACE_S = {LONGEST_S}; sdk.PATIENCE_MS = {1e3 * HANGS_S}; "
+    "from gonio_drivers import folder_camera, motion, ports, sdk; "
+    f"folder_camera.RELEASE_S = motion.GRACE_S = ports.CLOGGED_S = {LONGEST_S}; sdk.PATIENCE_MS = {1e3 * HANGS_S}; "
 )
 COMMAND = [sys.executable, "-c", PATIENT + "from gonio.cli import main; main()"]
 """The command as a process of its own, which waits for the twins in this one: as of `be_patient`."""

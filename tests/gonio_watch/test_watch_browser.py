@@ -51,7 +51,8 @@ def page(tab: Page) -> Iterator[Page]:
     yield tab
     tab.to_tab(first)
     tab.send("Page.navigate", url="about:blank")
-    assert tab.complaints == []
+    # a page that looks for its server while there is none is refused: the browser says so where that takes long
+    assert [said for said in tab.complaints if "net::ERR_CONNECTION_REFUSED" not in said] == []
 
 
 @pytest.fixture
