@@ -23,9 +23,15 @@ import numba.core.options
 
 try:
     from numba.core.caching import FunctionCache, IndexDataCacheFile
+    from numba.core.registry import CPUDispatcher
     from numba.core.runtime import rtsys
+    from numba.core.typing.typeof import typeof_impl
 except ImportError:  # numba's insides are its own: without these names its plain cache serves
     FunctionCache = IndexDataCacheFile = None
+else:
+    # The type of a compiled function that is an argument is found by a walk over all types that numba knows. The first
+    # function that a process compiles adds some; in a thread that walks meanwhile a call fails. So it is known at once.
+    typeof_impl.register(CPUDispatcher, typeof_impl.dispatch(object))
 
 if numba.config.CPU_FEATURES is None and numba.config.ENABLE_AVX:
     # LLVM halves vectors of 512 bits on many processors, to spare mixed code a lower clock; loops over kernels are all

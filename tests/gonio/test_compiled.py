@@ -3,6 +3,8 @@
 import functools
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -164,6 +166,28 @@ def test_a_folder_that_takes_no_files_is_said_once(
     assert make(_third)(6.0) == 2.0
     (line,) = capfd.readouterr().err.splitlines()
     assert "cannot be kept (No space left on device)" in line
+
+
+def test_a_compiled_function_is_an_argument_while_another_thread_brings_new_types() -> None:
+    """As the first function that a process compiles does: of thousands of calls some failed each time."""
+    program = """
+import sys, threading
+import numba
+from numba.core.typing.typeof import typeof_impl
+from gonio.compiled import njit
+
+def bring():
+    for k in range(2000):
+        typeof_impl.register(type(f"Type{k}", (), {}), typeof_impl.dispatch(object))
+
+sys.setswitchinterval(1e-6)
+kernel = njit()(lambda x: x)
+other = threading.Thread(target=bring)
+other.start()
+while other.is_alive():
+    numba.typeof(kernel)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_where_numba_s_names_have_gone_its_plain_cache_serves(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
