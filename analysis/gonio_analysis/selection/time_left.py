@@ -9,7 +9,7 @@ from gonio.progress import QUIET_S, Say, duration
 from gonio_analysis.fitting import parameters
 from gonio_analysis.selection.judging import Candidate
 
-AFTER, AFTER_EACH_S = 0.25, 0.25
+AFTER, AFTER_EACH_S = 0.2, 0.1
 """What comes after the fits: a part of their time, and seconds for each model, whatever the number of values."""
 CURVES, FIGURES = 0.35, 0.5
 """Parts of that: curves and reflectances of models, and figures; predictions of values left out are the rest."""

@@ -83,9 +83,9 @@ def test_models_are_counted_while_they_are_fitted_and_the_time_left_is_in_propor
         told(label)
     assert said == [
         "matte: fitting lambert (1 of 3)",
-        # 30 s for 1 squared, and 2 and 3 squared are left: 390 s, and a quarter of all these for what comes after
+        # 30 s for 1 squared, and 2 and 3 squared are left: 390 s, and a fifth of all these for what comes after
         "matte: fitting eon (2 of 3, about 8 min left)",
-        "matte: fitting phong (3 of 3, about 4 min left)",  # 90 s for 1 and 4, and 9 is left: 162 s, and 64 s after
+        "matte: fitting phong (3 of 3, about 4 min left)",  # 90 s for 1 and 4, and 9 is left: 162 s, and 51 s after
     ]
 
 
