@@ -3,7 +3,7 @@
 import contextlib
 import os
 import sys
-import threading
+import time
 from importlib.resources import files
 from pathlib import Path
 from typing import NoReturn
@@ -22,6 +22,9 @@ from gonio_watch.watching import Watched
 WORK = "from gonio_watch.plots import work; work()"
 COMMAND = (sys.executable, "-P", "-c", WORK)
 """Begins the process that works out values: what draws takes seconds to be imported, and nobody may look."""
+
+HEARD_S = 0.5
+"""Longest time until a signal is heard."""
 
 
 class ServedRun:
@@ -85,7 +88,8 @@ def _show(run: Path, server: Server, watched: Watched, text: bool) -> None:
     if text:
         watching.show(watched)
     else:
-        threading.Event().wait()
+        while True:  # a signal that the system hands to another thread is heard when this one wakes
+            time.sleep(HEARD_S)
 
 
 def _end() -> NoReturn:
