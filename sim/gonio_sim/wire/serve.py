@@ -119,7 +119,6 @@ def _announce(rig: str, path: Path, twins: Twins) -> None:
 
 def _require_twins(description: RigDescription) -> None:
     """Raise `ConfigError` where a device would be silent, which `measure` asks for."""
-
     if "interlock" in description.devices and "axis" not in description.devices["interlock"]:
         raise ConfigError(
             "devices.interlock.port: a contact on a serial line has no twin; leave the table out of the file, or name "
